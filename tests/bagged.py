@@ -49,11 +49,10 @@ def imu(ros, stamp_ns):
     return store.types["std_msgs/msg/Header"](**vars(header(store, ros, stamp_ns)))
 
 
-def write_bag(path: Path, topics, *, late_ns=0):
+def write_bag(path: Path, topics):
     """Write a bag; its name tells the kind: a folder .db3 or .mcap of ROS 2, or a .bag of ROS 1.
 
-    `topics` has lists of (time in ns, message) by names. Messages arrive `late_ns` after their
-    times.
+    `topics` has lists of (time in ns, message) by names.
     """
     ros = 1 if path.suffix == ".bag" else 2
     store = STORES[ros]
@@ -71,7 +70,7 @@ def write_bag(path: Path, topics, *, late_ns=0):
             waiting += [(at, connection, kind, one) for at, one in messages]
         for at, connection, kind, one in sorted(waiting, key=lambda entry: entry[0]):
             pack = store.serialize_ros1 if ros == 1 else store.serialize_cdr
-            writer.write(connection, at + late_ns, pack(one, kind))
+            writer.write(connection, at, pack(one, kind))
     if ros == 1:
         return path
     if path.suffix == ".mcap":  # a file alone, as other recorders write it

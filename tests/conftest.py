@@ -279,22 +279,6 @@ def browser(chromium):
         context.close()
 
 
-@pytest.fixture
-def refuse_folder(monkeypatch):
-    """Make the folders of a name unreadable, even for root: `refuse_folder("a")`."""
-    scandir = os.scandir
-
-    def refuse(name):
-        def refusing(path):
-            if str(path).endswith(f"{os.sep}{name}"):
-                raise PermissionError(13, "Permission denied")
-            return scandir(path)
-
-        monkeypatch.setattr(os, "scandir", refusing)
-
-    return refuse
-
-
 @pytest.fixture(autouse=True)
 def quick(request, monkeypatch):
     """But in tests marked slow, scores have intervals of 200 resamples, figures are not painted.

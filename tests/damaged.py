@@ -1,8 +1,10 @@
 """Videos as PyAV writes them, in any container and codec, at any times."""
 
+from contextlib import contextmanager
 from fractions import Fraction
 
 import cv2
+import numpy as np
 
 try:
     import av
@@ -56,14 +58,28 @@ def _framed(one, number, stream, fps, *, pixels, stamps, numbers):
     return one
 
 
-def copied(source, target, *, first=0, shift=0, keeps=lambda number: True):
+def copied(source, target, *, first=0, shift=0):
     """The packets of a video from one on, `shift` ticks later, as ffmpeg -c copy writes them."""
-    with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
-        stream = reader.streams.video[0]
-        copy = writer.add_stream_from_template(stream)
-        for number, packet in enumerate(reader.demux(stream)):
-            if number >= first and packet.dts is not None and keeps(number):
+    with remuxed(source, target) as (writer, copy, packets):
+        for number, packet in enumerate(packets):
+            if number >= first:
                 packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
                 packet.stream = copy
                 writer.mux(packet)
     return target
+
+
+@contextmanager
+def remuxed(source, target):
+    """The writer of another file, the stream there, and the packets that may go into it."""
+    with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
+        stream = reader.streams.video[0]
+        packets = (packet for packet in reader.demux(stream) if packet.dts is not None)
+        yield writer, writer.add_stream_from_template(stream), packets
+
+
+def silence(n_samples, rate=8000, at=0):
+    """Sound of so many samples, which begins at one."""
+    frame = av.AudioFrame.from_ndarray(np.zeros((1, n_samples), np.int16), "s16", "mono")
+    frame.sample_rate, frame.pts = rate, at
+    return frame

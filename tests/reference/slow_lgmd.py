@@ -1,8 +1,8 @@
 """The LGMD without distributed connections as nested loops in float64."""
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from reference.slow import Answer
 
 WEIGHTS = {
     (-1, -1): 0.125,
@@ -25,20 +25,6 @@ DEFAULTS = {
     "t_de": 15.0,
     "t_ffi": 255.0,
 }
-
-
-@dataclass
-class Answer:
-    """One frame's layers and sums in grey levels; None where the history is too short."""
-
-    p: np.ndarray | None = None
-    s: np.ndarray | None = None
-    g: np.ndarray | None = None
-    g_raw: np.ndarray | None = None
-    p_sum: float | None = None
-    s_sum: float | None = None
-    mp: float | None = None
-    ffi: float | None = None
 
 
 def at(layer, i, j):

@@ -230,12 +230,6 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
     assert row == ["low", "spikes", "–", "0.080", "s", "frame", "3", "–", "–"]
 
 
-def test_a_variant_of_each_model(runs, clips, tmp_path):
-    runs("compare", clips / "loom.avi", "--set", 3, "--set", 9, "--variant", "weak:a=1")
-    found = rows(tmp_path / "dlgmd-out/loom")
-    assert list(found) == ["set3", "set3/weak", "set9", "set9/weak"]
-
-
 def test_the_collision_of_a_table(clips, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},18\n")

@@ -201,46 +201,6 @@ def test_frames_missing_at_the_end_are_reported(tmp_path, name, decoder):
 TONE = "-f lavfi -i anoisesrc=d={}:r=8000:a=0.1"
 
 
-def with_trailer(path):
-    """An MP4 as a 360-degree camera leaves it: 200 bytes after it are no box."""
-    written(path, f"{X264} -bf 2")
-    path.write_bytes(path.read_bytes() + np.random.default_rng(5).bytes(200))
-
-
-def with_padding(path):
-    """An MP4 of a recorder that reserves space in blocks, in zeros."""
-    written(path, X264)
-    path.write_bytes(path.read_bytes() + bytes(5000))
-
-
-def sized(name, content):
-    """An element of Matroska; of unknown size without content."""
-    size = b"\x01" + b"\xff" * 7 if content is None else (1 << 56 | len(content)).to_bytes(8, "big")
-    return bytes.fromhex(name) + size + (content or b"")
-
-
-def recorded(path, n_frames=1000):
-    """A WebM as a browser streams it: each frame in a cluster of unknown size, without an index."""
-    whole = written(
-        path.with_name("whole.webm"), "-c:v libvpx -g 30 -auto-alt-ref 0", n_frames=n_frames
-    )
-    with av.open(str(whole)) as reader:
-        packets = [
-            (one.pts, one.is_keyframe, bytes(one)) for one in reader.demux(video=0) if one.size
-        ]
-    video = sized("b0", WIDTH.to_bytes(2, "big")) + sized("ba", HEIGHT.to_bytes(2, "big"))
-    codec = (
-        sized("86", b"V_VP8") + sized("83", b"\x01") + sized("d7", b"\x01") + sized("73c5", b"\x01")
-    )
-    data = sized("1a45dfa3", sized("4282", b"webm") + sized("4287", b"\x02"))
-    data += sized("18538067", None) + sized("1549a966", sized("2ad7b1", b"\x0f\x42\x40"))
-    data += sized("1654ae6b", sized("ae", codec + sized("e0", video)))
-    for pts, is_key, content in packets:
-        data += sized("1f43b675", None) + sized("e7", pts.to_bytes(4, "big"))
-        data += sized("a3", b"\x81\0\0" + (b"\x80" if is_key else b"\0") + content)
-    path.write_bytes(data)
-
-
 def by_rtmp(path):
     """An FLV of a server that sends what H.264 says beside the images as packets of their own."""
     written(path.with_name("whole.flv"), f"{X264} -bf 0")
@@ -262,25 +222,6 @@ def of_rtmp(path):
     """The same in another container: twice as many samples as images."""
     by_rtmp(path.with_suffix(".flv"))
     ffmpeg("-i", path.with_suffix(".flv"), "-c", "copy", path)
-
-
-def eight_tracks(path):
-    """A video with a pause of 20 s, in which eight tracks of sound go on."""
-    ffmpeg(
-        *f"-f lavfi -i testsrc2=s=128x64:r=30:d=2 {TONE.format(24)} -filter_complex".split(),
-        "[0:v]setpts='if(lt(N,30),N,N+600)/30/TB'[v]",
-        *("-map", "[v]"),
-        *("-map 1:a " * 8).split(),
-        *f"{X264} -fps_mode passthrough -c:a mp2 -ar 48000".split(),
-        path,
-    )
-
-
-def from_amid(path):
-    """A transport stream as a receiver records it: from within a packet and a group of images."""
-    written(path.with_name("whole.ts"), f"{X264} -bf 2")
-    data = path.with_name("whole.ts").read_bytes()
-    path.write_bytes(data[188 * 61 + 100 :])
 
 
 def without_index(path):
@@ -306,9 +247,6 @@ def from_open_gop(path):
 NTSC = "testsrc2=s=128x64:r=30000/1001:d=3"
 # Sound videos of other writers.
 SOUND = {
-    "trailer.mp4": with_trailer,
-    "padded.mp4": with_padding,
-    "recorder.webm": recorded,
     "rtmp.flv": by_rtmp,
     "rtmp.mp4": of_rtmp,
     "rtmp.mkv": of_rtmp,
@@ -316,21 +254,14 @@ SOUND = {
     "longer-sound.flv": by_ffmpeg(
         TONE.format(5), f"-map 1:v -map 0:a {X264} -bf 2 -c:a mp3 -ar 44100"
     ),
-    "eight-tracks.mkv": eight_tracks,
     "variable.mp4": by_ffmpeg("", f"-vf select='mod(n*n,7)' -fps_mode vfr {X264}"),
     "fragments.mp4": by_ffmpeg(
         TONE.format(4), f"-map 1:v -map 0:a {X264} -movflags frag_keyframe+empty_moov -c:a aac"
-    ),
-    "edited.mp4": lambda path: (
-        written(path.with_name("whole.mp4"), X264),
-        ffmpeg("-ss", 0.7, "-i", path.with_name("whole.mp4"), "-c", "copy", path),
     ),
     "prores.mov": by_ffmpeg("", "-c:v prores_ks"),
     "open-gop.mkv": from_open_gop,
     "open-gop.mp4": from_open_gop,
     "without-index.avi": without_index,
-    "amid.ts": from_amid,
-    "longer-sound.ts": by_ffmpeg(TONE.format(5), f"-map 1:v -map 0:a {X264} -c:a mp2 -ar 48000"),
     "ntsc.mkv": by_ffmpeg("-itsoffset 3", "-c:v libvpx-vp9 -g 15", NTSC),
     "odd-clock.mp4": by_ffmpeg("", f"{X264} -bf 2 -video_track_timescale 10007", NTSC),
 }

@@ -26,8 +26,6 @@ from exported import (
 from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.microcontroller.export import Export
-from dlgmd_cli.microcontroller.sums import float_code
-from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
 from dlgmd_cli.models.prepare import Flicker
@@ -233,11 +231,6 @@ def test_sizes_whose_expansion_cannot_be_measured():
         with pytest.raises(ParameterError, match=why):
             Export(SMALL, *size)
         assert not Export(load_set(9), *size).expands
-
-
-def test_only_the_operations_of_staircases():
-    """The kernels of set 9 have 3 x 13 x 13 taps."""
-    assert float_code(DLGMD(load_set(9)).connections).operations[1] < 13 * 13 / 2
 
 
 def test_table_of_costs():

@@ -451,24 +451,6 @@ def test_a_file_that_loops_goes_on_after_a_gap(tmp_path, clock):
 
 
 @pytest.mark.parametrize(
-    ("source", "more", "why"),
-    [
-        ("-", {}, "needs input_size"),
-        ("gopher://x", {}, "no kind of stream called gopher://"),
-        ("nothing.mp4", {}, "there is no such source"),
-        (__file__, {}, "is a file, not a live source"),
-        ("0", {"is_realtime": True}, "works only with files"),
-        ("rtsp://x", {"is_realtime": True}, "works only with files"),
-        ("/dev/video0", {"is_realtime": True}, "works only with files"),
-        ("rtsp://x", {"has_size": True}, "only with a pipe or a camera"),
-    ],
-)
-def test_what_is_no_source(source, more, why):
-    with pytest.raises(ParameterError, match=why):
-        live_source.check_source(source, **{"is_realtime": False, "has_size": False} | more)
-
-
-@pytest.mark.parametrize(
     ("source", "shown"),
     [
         ("rtsp://me:secret@host/a@b", "rtsp://host/a@b"),
@@ -959,28 +941,33 @@ def test_programs_that_hang_or_fail(caplog):
 # Recordings.
 
 
+@contextmanager
+def recording_of(source, folder, model=3, options=None, watched=None, **how):
+    """What records a source, and the watch whose answers it takes."""
+    setup, sight = choose(model), SourceState(source)
+    alarm = alarm_of(setup)
+    given = source, setup, options or InputOptions(), alarm.model, sight, folder
+    with Recording(*given, **how) as recording, source:
+        yield recording, Watch(source, alarm, sight, **watched or {})
+
+
 def recorded(frames, folder, model=3, fps=30.0):
     """Record every answer to frames; yields the recording after each."""
-    setup = choose(model)
-    alarm, source = alarm_of(setup), played(frames, fps=fps, model_fps=fps)
-    sight = SourceState(source)
-    with Recording(source, setup, InputOptions(), alarm.model, sight, folder) as recording, source:
-        for one in Watch(source, alarm, sight).answers():
-            if one is not None:
-                recording.put(one)
-                if one.is_of_frame:
-                    yield recording
+    source = played(frames, fps=fps, model_fps=fps)
+    with recording_of(source, folder, model) as (recording, watch):
+        for one in filter(None, watch.answers()):
+            recording.put(one)
+            if one.is_of_frame:
+                yield recording
 
 
 def test_a_recording_with_headings_repeats(tmp_path):
     """The directions of flight are a table of frames, with nothing where none was known."""
     frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
-    source, setup = played(frames, model_fps=30.0), choose(3)
-    alarm, sight = alarm_of(3), SourceState(source)
-    given = source, setup, InputOptions(), alarm.model, sight, tmp_path / "r"
-    with Recording(*given) as recording, source:
-        found = Watch(source, alarm, sight, reports=reports, heading=Heading(reports)).answers()
-        for one in filter(None, found):
+    source, watched = played(frames, model_fps=30.0), {"reports": reports}
+    watched["heading"] = Heading(reports)
+    with recording_of(source, tmp_path / "r", watched=watched) as (recording, watch):
+        for one in filter(None, watch.answers()):
             recording.put(one)
             if one.is_of_frame:
                 side = (one.frame.index % 5) / 10.0
@@ -1229,10 +1216,9 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
 
 def kept_by_live(source, options, folder, **how):
     """What `live` records of a source with its images, which lose nothing."""
-    alarm, sight = alarm_of("flight"), SourceState(source)
-    given = source, choose("flight"), options, alarm.model, sight, folder
-    with Recording(*given, film="pictures", **how) as recording, source:
-        for one in filter(None, Watch(source, alarm, sight).answers()):
+    how = {"film": "pictures", **how}
+    with recording_of(source, folder, "flight", options, **how) as (recording, watch):
+        for one in filter(None, watch.answers()):
             if one.is_of_frame:
                 lossless = cv2.imencode(".png", one.frame.picture)[1]
                 recording.put(replace(one, frame=replace(one.frame, picture=lossless)))
@@ -1242,11 +1228,9 @@ def kept_by_live(source, options, folder, **how):
 def test_a_recording_keeps_what_a_busy_computer_left_out(tmp_path):
     """Its rows are empty there; the kept images give all numbers."""
     source = played(looming_frames(30, 64, 48), fps=30.0, model_fps=30.0)
-    alarm, sight = alarm_of("flight"), SourceState(source)
-    given = source, choose("flight"), InputOptions(), alarm.model, sight, tmp_path / "r"
-    source.keeps_pictures = True
-    with Recording(*given, film="video.mkv") as recording, source:
-        watch, objects = Watch(source, alarm, sight), []
+    source.keeps_pictures, objects = True, []
+    given = source, tmp_path / "r", "flight"
+    with recording_of(*given, film="video.mkv") as (recording, watch):
         for one in filter(None, watch.answers()):
             recording.put(one)
             objects.append(one.to_dict())

@@ -1,9 +1,7 @@
 """Models of one's own: on the commands that take `--model`, in Python, and read back."""
 
 import copy
-import os
 import pickle
-import subprocess
 import sys
 from dataclasses import FrozenInstanceError, dataclass
 from pathlib import Path
@@ -76,7 +74,6 @@ class Unready(dlgmd_cli.Model):
     def __init__(self, params=None):
         self.gain = params.gain
 """
-ROOT = str(Path(dlgmd_cli.__file__).parents[1])
 FAST = ("--model", "mymodel:Fast")
 
 
@@ -282,20 +279,6 @@ def test_entry_points_are_names(dlgmd, runs, clips, own, monkeypatch):
     assert "floor: 0.05            # change that counts; 0 to 1" in shown.stdout
 
 
-def test_the_command_finds_modules_of_the_working_folder(tmp_path):
-    folder, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
-    folder.mkdir()
-    elsewhere.mkdir()
-    (folder / "mymodel.py").write_text(MINE)
-    script = elsewhere / "dlgmd.py"
-    script.write_text("from dlgmd_cli.__main__ import main\nmain()\n")
-    words = [sys.executable, script, "sets", "show", "mymodel:Fast"]
-    done = subprocess.run(
-        words, cwd=folder, env={**os.environ, "PYTHONPATH": ROOT}, capture_output=True, text=True
-    )
-    assert "model: mymodel:Fast" in done.stdout
-
-
 # The parameter class
 
 
@@ -374,74 +357,51 @@ TAKES = """
         return dlgmd_cli.Response(mp=1.0{})
 """
 IN_STEP = "step(), frame 0: "
-MISTAKES = {
-    "history": (
-        "DLGMD",
-        "def inhibit(self, p): q = p(1); q *= 0.5; return q",
-        "fails with ValueError",
-    ),
-    "frame": (
-        "Model",
-        "def step(self, luminance, time_s=None): luminance[:] = 0",
-        "with ValueError",
-    ),
-    "ffi NaN": ("DLGMD", "def feed_forward(self): return float('nan')", "feed_forward(), frame"),
-    "t_de NaN": (
-        "DLGMD",
-        "def threshold(self, ffi): return 0.0 * float('inf')",
-        "threshold(), frame",
-    ),
-    "K NaN": ("DLGMD", "def potential(self, g): return float('nan')", "potential(), frame 3"),
-    "K infinite": ("DLGMD", "def potential(self, g): return 1e999", "potential(), frame 3"),
-    "mp infinite": (
+MISTAKES = [
+    ("DLGMD", "def inhibit(self, p): q = p(1); q *= 0.5; return q", "fails with ValueError"),
+    ("Model", "def step(self, luminance, time_s=None): luminance[:] = 0", "with ValueError"),
+    ("DLGMD", "def feed_forward(self): return float('nan')", "feed_forward(), frame"),
+    ("DLGMD", "def threshold(self, ffi): return 0.0 * float('inf')", "threshold(), frame"),
+    ("DLGMD", "def potential(self, g): return float('nan')", "potential(), frame 3"),
+    (
         "Model",
         "def step(self, luminance, time_s=None): return dlgmd_cli.Response(mp=1e999)",
         "step(), mp, frame 0: it returns infinity",
     ),
-    "S": ("DLGMD", "def group(self, s, t_de): s[:] = 0", "with ValueError"),
-    "G": ("DLGMD", "def potential(self, g): g[:] = 0", "with ValueError"),
-    "polarity": ("DLGMD", "polarities = ('up',)", "polarities: ('up',) is no tuple of 'both'"),
-    "unit": (
+    ("DLGMD", "def group(self, s, t_de): s[:] = 0", "with ValueError"),
+    ("DLGMD", "def potential(self, g): g[:] = 0", "with ValueError"),
+    ("DLGMD", "polarities = ('up',)", "polarities: ('up',) is no tuple of 'both'"),
+    (
         "Model",
         "def step(self, luminance, time_s=None): self.receptors.unit",
         "self.receptors.unit, frame 0: no frame was taken yet",
     ),
-    "K array": (
-        "DLGMD",
-        "def potential(self, g): return g.sum(axis=0)",
-        "returns ndarray of shape",
-    ),
-    "K None": ("DLGMD", "def potential(self, g): pass", "it returns NoneType, not a number"),
-    "K text": ("DLGMD", "def potential(self, g): return 'much'", "it returns str, not a number"),
-    "columns": ("Model", "columns = ('share')", "columns = 'share' is no tuple of names"),
-    "key": (
+    ("DLGMD", "def potential(self, g): return g.sum(axis=0)", "returns ndarray of shape"),
+    ("DLGMD", "def potential(self, g): pass", "it returns NoneType, not a number"),
+    ("Model", "columns = ('share')", "columns = 'share' is no tuple of names"),
+    (
         "Model",
         "columns = ('share',)" + TAKES.format(", more={'shara': 1}"),
         IN_STEP + "its more has 'shara', which is no column. The class's columns are share.",
     ),
-    "more array": (
+    (
         "Model",
         "columns = ('share',)" + TAKES.format(", more={'share': luminance}"),
         "step(), share, frame 0: it returns ndarray of shape",
     ),
-    "more None": (
+    (
         "Model",
         "columns = ('share',)" + TAKES.format(", more={'share': None}"),
         "step(), share, frame 0: it returns NoneType",
     ),
-    "sum": ("Model", TAKES.format(", p_sum=[1]"), "step(), p_sum, frame 0: it returns list"),
-    "nothing": (
-        "Model",
-        "def step(self, luminance, time_s=None): pass",
-        IN_STEP + "it returns NoneT",
-    ),
-    "layer": ("DLGMD", "def group(self, s, t_de): return s[1:]", "group(), frame 3: it returns"),
-}
+    ("Model", TAKES.format(", p_sum=[1]"), "step(), p_sum, frame 0: it returns list"),
+    ("Model", "def step(self, luminance, time_s=None): pass", IN_STEP + "it returns NoneT"),
+    ("DLGMD", "def group(self, s, t_de): return s[1:]", "group(), frame 3: it returns"),
+]
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_one_line_with_class_method_and_frame(dlgmd, clips, own, name):
-    base, body, line = MISTAKES[name]
+@pytest.mark.parametrize(("base", "body", "line"), MISTAKES)
+def test_a_mistake_is_one_line_with_class_method_and_frame(dlgmd, clips, own, base, body, line):
     code = f"\nclass Wrong(dlgmd_cli.{base}):\n    {body}\n"
     Path(own.__file__).write_text(MINE + code)
     exec(compile(code, own.__file__, "exec"), vars(own))

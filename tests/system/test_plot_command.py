@@ -189,18 +189,6 @@ def test_a_damaged_result_is_one_line_and_the_others_are_drawn(dlgmd):
     assert (alone.exit_code, alone.stdout) == (1, "") and f"bad/{message}. " in alone.stderr
 
 
-@pytest.mark.usefixtures("drawn")
-def test_annotations_beside_the_data_are_warned_of_and_lose_nothing(runs):
-    make_run("one")
-    arguments = ["--mark", "90:late", "--span", "30-50:long", "--collision-frame", 39]
-    result = runs("plot", "mp", "one", *arguments)
-    assert result.stdout
-    assert result.stderr.splitlines() == [
-        "Warning: 'late' at frame 90 is outside frames 0 to 39 and is left out.",
-        "Warning: 'long' at frames 30 to 50 is cut off at frames 0 to 39.",
-    ]
-
-
 @pytest.mark.painted
 def test_letters_that_the_font_lacks_are_one_warning(runs):
     make_run("one")
@@ -210,8 +198,10 @@ def test_letters_that_the_font_lacks_are_one_warning(runs):
     assert result.stderr == f"Warning: {lacks}.\n"
 
 
-def test_a_comparison_has_labels_of_its_own(runs, drawn):
+def test_a_comparison_has_labels_of_its_own_and_a_tree_stands_for_its_results(runs, drawn):
     make_comparison("cmp/one"), make_comparison("cmp/two"), make_run("set9")
+    make_run("out/set9/a"), make_run("out/set9/day/b")
+    Path("out/set9/summary.csv").write_text("video\n")
     for paths, names, file in (
         (["cmp/one"], ["set9", "lgmd"], "mp-one"),
         (["cmp/one/compare.csv"], ["set9", "lgmd"], "mp-one"),
@@ -221,17 +211,6 @@ def test_a_comparison_has_labels_of_its_own(runs, drawn):
             ["one: set9", "one: lgmd", "two: set9", "two: lgmd"],
             "mp-one-two",
         ),
-    ):
-        result = runs("plot", "mp", *paths, "--overwrite")
-        assert result.stderr == ""
-        assert list(drawn[-1][1]) == names
-        assert result.stdout.strip() == os.path.join("dlgmd-out", f"{file}.png")
-
-
-def test_a_tree_stands_for_its_results(runs, drawn):
-    make_run("out/set9/a"), make_run("out/set9/day/b")
-    Path("out/set9/summary.csv").write_text("video\n")
-    for paths, names, file in (
         (["out/set9"], ["a", "b"], "mp-set9"),
         (["out"], ["a", "b"], "mp-out"),
         (["out/set9/summary.csv"], ["a", "b"], "mp-set9"),
@@ -239,6 +218,7 @@ def test_a_tree_stands_for_its_results(runs, drawn):
         (["out/set9/day", "out/set9/a", "out/set9/summary.csv"], ["b", "a"], "mp-day-a-set9"),
     ):
         result = runs("plot", "mp", *paths, "--overwrite")
+        assert result.stderr == ""
         assert list(drawn[-1][1]) == names
         assert result.stdout.strip() == os.path.join("dlgmd-out", f"{file}.png")
 

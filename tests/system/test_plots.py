@@ -6,7 +6,7 @@ import cv2
 import matplotlib
 import numpy as np
 import pytest
-from conftest import FPS, result_of_level
+from conftest import result_of_level
 from figures import (
     NAN,
     approach,
@@ -256,17 +256,6 @@ def test_one_panel_shows_up_to_eight_results():
         assert len({line.get_color() for line in axes.lines if line.get_linestyle() != "None"}) >= 8
 
 
-def aligned(contacts, **options):
-    """Trials in which the potential is the time since 2 s before the collision, in s, and more."""
-    results = {}
-    for number, frame in enumerate(contacts):
-        time_s = np.arange(frame + 5) / FPS
-        result = result_of_level(np.clip(1 + (time_s - frame / FPS) / 2 + number / 10, 0, 0.9))
-        results[f"trial {number}"] = result
-    frames = {label: [frame] for label, frame in zip(results, contacts, strict=True)}
-    return dlgmd_cli.plot(results, align="collision", collisions=frames, **options)
-
-
 def test_different_videos_are_no_trials():
     results = {}
     for name in "ab":
@@ -278,10 +267,10 @@ def test_different_videos_are_no_trials():
 
 
 def test_aligned_results_need_a_collision_and_take_axes():
-    axes = Figure().subplots()
-    assert aligned([30], ax=axes, mean=True) is axes.figure  # of one trial there is no error
+    axes, one = Figure().subplots(), make_result()
+    look = {"align": "collision", "collision_frame": 30, "ax": axes, "mean": True}
+    assert dlgmd_cli.plot(one, **look) is axes.figure  # of one trial there is no error
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["dlgmd, 1 video"]
-    one = make_result()
     for look, why in (
         ({"align": "collision"}, "no result has a known collision"),
         ({"align": "alarm"}, "there is no align 'alarm'"),

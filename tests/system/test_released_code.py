@@ -68,11 +68,6 @@ def test_sharpness_of_interpolated_latency():
     np.testing.assert_allclose(measured, INTERPOLATED, rtol=0, atol=0.0005)
 
 
-def test_radial_latency_sharpens_the_answer_to_a_looming_ball():
-    measured = banded_sharpness("default")
-    assert max(measured[3:6]) < min(measured[:3])
-
-
 @pytest.mark.parametrize("number", [1, 9])
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_the_files_of_a_run_have_the_numbers_of_the_released_code(runs, tmp_path, sequence, number):

@@ -7,26 +7,21 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import documents
 import looming
 import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, make_result, write_video, yaml_of
-from figures import approach, legend
+from figures import approach
 
 import dlgmd_cli
 from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.rules import rule_named, rule_of
 from dlgmd_cli.parameters.keys import RULES, changed, recorded_parameters
 from dlgmd_cli.results.reading import read_comparison
-from dlgmd_cli.watch import mavlink
-from dlgmd_cli.watch.reports import Reports
-from dlgmd_cli.watch.watch import Answer, Events
 
 LOOM = looming_frames(40, 240, 136)
 PARAM = {"alarm": "either", "kappa": 3e-4, "n_sp": 1, "ttc_alarm": 1.0}
@@ -73,55 +68,6 @@ def test_a_run_raises_the_alarms_of_both_and_says_so(results):
     slow = approach("either")
     slow.rows["time_s"] *= 2.0  # 5 frames/s
     assert any("expansion rates are unreliable" in line for line in slow.doubts())
-
-
-def test_frame_by_frame_as_the_whole_run(results):
-    alarm = Alarm(load_set(9, **PARAM), repeats="keep")
-    found = [alarm.step(frame, t / 30) for t, frame in enumerate(LOOM)]
-    assert [one.alarm for one in found] == results["either"].alarms.tolist()
-    assert {one.rule for one in found} == {"either"}
-
-
-def test_live_tells_it(results, monkeypatch):
-    names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    alarm, sent = Alarm(load_set(9, **PARAM), repeats="keep"), []
-    events = Events(alarm.rule)
-    parser = names.MAVLink(None)
-
-    def write(data, places):
-        sent.extend(parser.parse_buffer(bytes(data)))
-
-    link = SimpleNamespace(read=lambda: (), write=write)
-    monkeypatch.setattr(mavlink, "open_link", lambda url: link)
-    send = mavlink.Mavlink("udp://x:1", Reports())
-    for t, image in enumerate(LOOM):
-        frame = Frame(t, t / 30, image)
-        detection = alarm.step(image, t / 30)
-        event, span = next(iter(events.step(detection)), ("", None))
-        answer = Answer(frame, detection, event=event, span=span, latency_ms=1.0)
-        if event:
-            assert json.loads(answer.to_json())["rule"] == "either"
-        send(answer)
-    texts = [one.text for one in sent if one.get_type() == "STATUSTEXT"]
-    side = results["either"].alarm_list[0].side
-    assert texts[0] == f"dlgmd: collision alarm (either), {side}"
-
-
-def test_pages_get_its_lines(results, runs, tmp_path):
-    pytest.importorskip("jinja2", reason="pages need Jinja2")
-    pytest.importorskip("plotly", reason="pages need Plotly")
-    line = {"column": "signal", "threshold": 1.0, "text": "alarm at 1"}
-    said = {"name": "either", **line, "longest_ttc_s": 3.0}
-    assert results["either"].rule.to_dict() == said
-    results["either"].save(tmp_path / "r")
-    runs("view", "r", "--no-film", "--out", "page.html")
-    page = (tmp_path / "page.html").read_text("utf-8")
-    assert '"text": "alarm at 1"' in page and "<td>either</td>" in page
-
-
-def test_figures_show_its_thresholds(results):
-    figure = approach("either").plot("overview")
-    assert "alarm (either)" in legend(figure)
 
 
 @pytest.mark.usefixtures("here")
@@ -221,10 +167,6 @@ class Both(dlgmd_cli.Rule):
     def value(self, row):
         rate = row.expansion / self.params.expansion_alarm
         return min(row.level / self.params.t_mp, rate)
-
-
-class NoRule:
-    pass
 
 
 class NoValue(dlgmd_cli.Rule):

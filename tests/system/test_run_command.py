@@ -135,19 +135,14 @@ def test_what_a_config_may_not_say(dlgmd, clips, tmp_path, text, why):
     assert line.isprintable() and len(line) < 250
 
 
-def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
-    pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
-    write_video(tmp_path / "still.avi", looming_frames(1) * 6)
-    result = dlgmd("run", "still.avi", "--normalise", "sequence")
-    assert result.exit_code == 1 and "the membrane potential never changes" in result.stderr
-
-
 def test_a_warning_is_recorded(runs, cut):
     result = runs("run", cut, "--json")
     (warning,) = json.loads(result.stdout)["warnings"]
     assert f"of about {N_FRAMES} frames" in warning
     assert f"Warning: {cut}: {warning}." in result.stderr
-    assert yaml_of("dlgmd-out/cut/run.yaml")["warnings"] == [warning]
+    record = yaml_of("dlgmd-out/cut/run.yaml")
+    assert record["warnings"] == [warning]
+    assert (record["complete"], record["interrupted"]) == (False, False)
     facts = json.loads(runs("compare", cut, "--json", "--out", "b").stdout)
     assert warning in facts["warnings"]
 
@@ -170,18 +165,6 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     )
     assert os.listdir(".") == []
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
-
-
-def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
-    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
-    np.save("noise.npy", frames)
-    for fps, is_warned in ((5, True), (7.5, False)):
-        told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--format=none").stderr
-        assert (
-            "5 frames/s: expansion rates are unreliable below 7.5 frames/s" in told
-        ) == is_warned
-    options = ("--set", 9, "--input-fps", 5, "--overwrite", "--format=none")
-    assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
 
 
 def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, monkeypatch):
@@ -232,12 +215,6 @@ def test_complete_says_whether_all_of_the_input_was_used(clips, options, is_whol
     assert (result.complete, result.interrupted) == (is_whole, False)
     ((_, rows),) = result.shown()
     assert ("not the whole input" in dict(rows)["frames"]) != is_whole
-
-
-@pytest.mark.usefixtures("dlgmd")
-def test_a_damaged_video_is_not_complete(cut):
-    result = dlgmd_cli.run(cut, 3)
-    assert (result.complete, result.interrupted) == (False, False) and result.n_valid
 
 
 def test_a_part_of_a_video_is_done_and_says_so(runs, clips):

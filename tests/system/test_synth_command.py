@@ -24,15 +24,6 @@ def test_all_options_arrive(runs):
     assert truth.read_text().splitlines()[-1].startswith("2,0.2,")
 
 
-def test_noise_in_mpeg4_is_pointed_out(dlgmd):
-    arguments = ["synth", "looming-cube", "--noise", "0.02", "--overwrite", *SMALL]
-    assert dlgmd(*arguments).stderr == (
-        "Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.\n"
-    )
-    assert dlgmd(*arguments, "--lossless").stderr == ""
-    assert dlgmd("--quiet", *arguments).stderr == ""
-
-
 def test_the_examples_of_the_help_run(dlgmd, runs, here):
     text = dlgmd("synth", "--help").stdout
     examples = re.findall(r"^ +dlgmd (synth [^\n#]+)", text, re.M)

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from disturbed import environment
 
 from dlgmd_cli import __version__, read_result
 from dlgmd_cli.commands.app import GROUPS, cli
@@ -236,10 +237,6 @@ main()
     assert (done.returncode, done.stderr) == (130, "")
 
 
-def test_sets_show_may_be_left_out(dlgmd):
-    assert dlgmd("sets", "9").stdout == dlgmd("sets", "show", "set9").stdout != ""
-
-
 def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
     for name in ("plot", "view"):
         (opts,) = (p.opts for p in cli.get_command(None, name).params if "--collisions" in p.opts)
@@ -251,28 +248,38 @@ def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
 @pytest.mark.parametrize(
     ("line", "rule"),
     [
-        ("run {} --format none --threshold 0.4", "expansion: expansion of 0.4/s or more"),
-        (
-            "run {} --format none --alarm ttc --threshold 0.9",
-            "ttc: time to contact of 0.9 s or less",
-        ),
-        (
-            "run {} --format none --set 9 --threshold 0.6",
-            "spikes: 2 in a row, at an MP of 0.6 or more",
-        ),
-        ("run {} --format none --speed-m-s 3", "expansion: expansion of 0.716655/s or more"),
+        ("run {} --threshold 0.4", "expansion: expansion of 0.4/s or more"),
+        ("run {} --alarm ttc --threshold 0.9", "ttc: time to contact of 0.9 s or less"),
+        ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at an MP of 0.6 or more"),
+        ("run {} --speed-m-s 3", "expansion: expansion of 0.716655/s or more"),
         ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),
-        (
-            "batch {} --threshold 0.4 --format none --jobs 1",
-            "expansion: expansion of 0.4/s or more",
-        ),
+        ("batch {} --threshold 0.4 --jobs 1", "expansion: expansion of 0.4/s or more"),
     ],
 )
-def test_a_threshold_is_that_of_the_rule_that_holds(
-    dlgmd, clips, tmp_path, monkeypatch, line, rule
-):
-    monkeypatch.chdir(tmp_path)
-    result = dlgmd(*line.format(clips / "loom.avi").split())
-    assert result.exit_code == 0, result.stderr
+def test_a_threshold_is_that_of_the_rule_that_holds(runs, clips, tmp_path, line, rule):
+    runs(*line.format(clips / "loom.avi").split())
     (record,) = tmp_path.rglob("run.yaml")
     assert read_result(record.parent).rule.text == rule
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_a_pipe_is_no_log(tmp_path):
+    os.mkfifo(tmp_path / "log")
+    words = ["-m", "dlgmd_cli", "sets", "show", "9", "--log", "log"]
+    done = python(*words, cwd=tmp_path, env=environment(), timeout=60)  # it waits for no reader
+    assert done.returncode == 1 and done.stderr == "Error: --log: log: is a pipe, not a file.\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps the working folder")
+def test_a_deleted_working_folder(tmp_path):
+    program = """
+import os
+os.mkdir("gone"); os.chdir("gone"); os.rmdir("../gone")
+from dlgmd_cli.__main__ import main
+main()
+"""
+    for words in (["run", "x.mp4"], ["view", str(tmp_path)], ["sets"]):
+        done = python("-c", program, *words, cwd=tmp_path, env=environment())
+        assert done.returncode == 2
+        assert done.stderr.startswith("Error: the working folder is gone (")
+        assert done.stderr.count("\n") == 1

@@ -55,6 +55,15 @@ def options_of(command):
     return {name for one in own for name in (*one.opts, *one.secondary_opts)} | {"--help"}
 
 
+def test_no_option_is_there_twice():
+    """The general options are those of the tool alone."""
+    for words in ([], ["sets", "show"], *([name] for name in COMMANDS if name != "lab")):
+        options = [one for one in command_of(words).params if isinstance(one, click.Option)]
+        names = [max(one.opts, key=len) for one in options]
+        assert len({*names}) == len(names), words
+        assert not words or not {"--quiet", "--json", "--log", "--debug"} & {*names}, words
+
+
 INLINE = [
     code
     for page in PAGES

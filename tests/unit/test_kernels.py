@@ -1,14 +1,12 @@
 """Gaussians, latency, bands and the kernel of each delay."""
 
-import math
-
 import numpy as np
 import pytest
 from reference import slow
 
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import gaussian
-from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters, load_set
+from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters
 
 
 def as_array(weights, r):
@@ -17,27 +15,6 @@ def as_array(weights, r):
     for (x, y), weight in weights.items():
         kernel[y + r, x + r] = weight
     return kernel
-
-
-@pytest.mark.parametrize("sigma", [0.35, 1.0, 5.0])
-def test_gaussian_has_the_amplitude_of_one_dimension(sigma):
-    kernel = gaussian(4, sigma)
-    assert kernel.shape == (9, 9) and kernel.dtype == np.float64
-    assert kernel[4, 4] == pytest.approx(1 / (sigma * math.sqrt(2 * math.pi)), rel=1e-15)
-    ratio = math.exp(-(2**2 + 3**2) / (2 * sigma**2))
-    assert kernel[2, 7] == pytest.approx(kernel[4, 4] * ratio, rel=1e-12)
-    for turned in (kernel[::-1], kernel[:, ::-1], kernel.T):
-        np.testing.assert_array_equal(kernel, turned)
-
-
-def test_latency_of_the_sets():
-    for number in range(4, 10):
-        latency = DLGMD(load_set(number)).connections.latency
-        r = latency.shape[0] // 2
-        assert latency[r, r] == pytest.approx(-0.1 + 1 / 1.5, rel=1e-15)
-        assert 1.899 < latency[0, 0] < 1.9
-    for number in range(1, 4):
-        assert (DLGMD(load_set(number)).connections.latency == 1.0).all()
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
@@ -57,19 +34,6 @@ def test_kernels_of_the_sets(number, latency):
     np.testing.assert_array_equal(signed.pop(0), found.excitation - at_once)
     for delay, kernel in signed.items():
         np.testing.assert_array_equal(kernel, -found.inhibition[delay])
-
-
-def test_bands_of_set_9():
-    found = DLGMD(load_set(9)).connections
-    delays = np.zeros((13, 13), int)
-    for delay, kernel in found.inhibition.items():
-        delays[kernel > 0] = delay
-    # By hand from Eq. (5): τ reaches 1 at 1.35 px from the centre, and 1.8999 at 4.65 px.
-    axis = np.arange(-6, 7)
-    squared = np.add.outer(axis**2, axis**2)
-    expected = np.select([squared < 1.35**2, squared < 4.65**2], [0, 1], 2)
-    np.testing.assert_array_equal(delays, expected)
-    assert (found.max_delay_frames, found.radius_px) == (2, 6)
 
 
 def flat(latency_frames, latency="bands"):

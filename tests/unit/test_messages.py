@@ -90,15 +90,6 @@ def test_an_error_names_its_argument():
         assert str(one) == "frames: 13 are too many. Choose 12." and one.argument == "frames"
 
 
-def test_a_command_names_the_option(dlgmd):
-    result = dlgmd("synth", "looming-cube", "--frames", 99)
-    assert result.exit_code == 2
-    assert "Error: Invalid value for '--frames': contact comes " in result.stderr
-    with pytest.raises(ParameterError) as caught:
-        dlgmd_cli.synth("looming-cube", frames=99)
-    assert str(caught.value).startswith("frames: contact comes ")
-
-
 def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):
     caplog.set_level("INFO")
     dlgmd_cli.synth("looming-cube", out=tmp_path, frames=3, noise=0.01, background=0.8)

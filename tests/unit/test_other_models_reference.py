@@ -1,12 +1,11 @@
-"""The LGMD and the EMD-LGMD against nested loops in float64."""
+"""The LGMD, the EMD-LGMD and the ON/OFF D-LGMD against nested loops in float64."""
 
 import numpy as np
 import pytest
-from model_checks import check_emd, check_lgmd
-from reference import clips
+from model_checks import check_dlgmd, check_emd, check_lgmd
+from reference import clips, slow
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
 from dlgmd_cli.parameters.presets import LgmdParameters
 
@@ -50,6 +49,24 @@ def test_other_parameters(clip, check, changes):
     check(CLIPS[clip], **changes)
 
 
+ON_OFF_CLIPS = {
+    "drifting 9x12": CLIPS["drifting 9x12"],
+    "looming 10x13": clips.looming(10, 13, 8, seed=2),
+    "faint": [np.float32(0.5) + frame / 32 for frame in clips.drifting(8, 9, 8, seed=5)],
+    "smaller than the kernel": clips.drifting(4, 1, 6, seed=3),
+    "one cell": CLIPS["one cell"],
+}
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("number", [3, 9])
+@pytest.mark.parametrize("clip", ON_OFF_CLIPS)
+def test_on_off_agrees_with_its_equations(clip, number, formulation):
+    k = 16.0 if formulation == "released-2020" else 1.0  # else a cell lies at the threshold
+    params = slow.table_2(number, formulation=formulation, k=k)
+    check_dlgmd(ON_OFF_CLIPS[clip], params, on_off=True)
+
+
 def test_the_clips_reach_every_branch_of_the_lgmd():
     answers = [
         one
@@ -90,15 +107,6 @@ def test_a_cell_exactly_at_the_threshold_passes_the_lgmd():
     g = last(t_de=0.0)
     passed = [last(t_de=g * factor) for factor in (1 - 1e-6, 1 - 1e-12, 1, 1 + 1e-12, 1 + 1e-6)]
     assert g > 100.0 and passed == [g, g, g, 0.0, 0.0]
-
-
-def test_emd_tells_expansion_from_contraction():
-    frames = clips.looming(24, 32, 12, seed=6)
-    outward, inward = (
-        sum(response.mp for response in map(EmdLGMD().step, order) if response.is_valid)
-        for order in (frames, frames[::-1])
-    )
-    assert outward > 2.0 * inward
 
 
 @pytest.mark.parametrize(("p1", "p2"), [(1.0, 0.0), (0.6, 0.5), (-0.6, 0.5), (0.0, -1.0)])

@@ -72,8 +72,6 @@ def test_a_formulation_stands_for_latency_saturation_and_grouping(name):
         ({"a": "x\ny" + "z" * 99}, f"a = 'x\\ny{'z' * 37}' is not a number"),
         ({"ffi_gd": "yes"}, "ffi_gd = 'yes' is not true or false"),
         ({"formulation": "Default"}, "is not one of default, released-2021, released-2020, equat"),
-        ({"alpha": -1.0}, "alpha = -1 with beta = 0.5 makes the latency negative"),
-        ({"alpha": 64.0}, "alpha = 64, beta = 0.5, lam = 0.7 and r = 6 make the latency longer"),
         # exp(-λ²·2r²) is 0 in float64 here: the latency is endless.
         ({"beta": 0.0, "lam": 10.0, "r": 32}, "make the latency longer than 64 frames"),
     ],
@@ -100,7 +98,7 @@ def test_bounds(kind):
 
 def test_latency_is_between_0_and_64_frames():
     assert DlgmdParameters(alpha=-1.0, beta=0.0, lam=0.0).alpha == -1.0
-    assert "negative" in complaint(alpha=-1.0 - 1e-9, beta=0.0, lam=0.0)
+    assert "makes the latency negative" in complaint(alpha=-1.0 - 1e-9, beta=0.0, lam=0.0)
     assert DlgmdParameters(alpha=63.0, beta=0.0, lam=0.0).alpha == 63.0
     assert "longer than 64 frames" in complaint(alpha=63.0 + 1e-9, beta=0.0, lam=0.0)
     # It is the corner of the kernel that counts: 1/exp(-λ²·2r²).

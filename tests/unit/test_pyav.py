@@ -197,30 +197,6 @@ def test_an_error_at_the_very_end_is_told(tmp_path):
     assert warnings == ["the file is damaged; decoded and used 5 frames, up to 0.160 s"]
 
 
-def test_sound_that_goes_on_is_no_damage(tmp_path, decoder):
-    path = tmp_path / "x.mkv"
-    with av.open(str(path), "w") as container:
-        video = container.add_stream("ffv1", rate=25)
-        sound = container.add_stream("pcm_s16le", 8000)
-        video.width, video.height, video.pix_fmt = 250, 36, "yuv420p"
-        sound.layout = "mono"
-        for _ in range(20):
-            container.mux(video.encode(filled("yuv420p", RAMP)))
-        for _ in range(30):
-            silence = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), "s16", "mono")
-            silence.sample_rate = 8000
-            container.mux(sound.encode(silence))
-        container.mux(video.encode(None))
-    with open_video(path, decoder=decoder) as source:
-        assert len(list(source)) == 20 and source.info.decoder == decoder
-        assert source.progress.damage == []
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) * 2 // 5])
-    with open_video(path, decoder=decoder) as source:
-        assert 5 < len(list(source)) < 18
-        assert "cut off" in source.progress.damage[0]
-
-
 def test_a_cover_is_no_video(tmp_path):
     picture = cv2.imencode(".jpg", RAMP)[1].tobytes()
     cover = b"\0image/jpeg\0\x03\0" + picture

@@ -272,16 +272,6 @@ def test_an_alarm_answers_to_a_repeat_as_before():
         Alarm(repeats="drop")
 
 
-def test_an_alarm_begins_anew_after_a_gap_in_time():
-    views = [*pan(20), *(255 - view for view in pan(20))]
-    times = [t / 30 + (t >= 20) for t in range(40)]
-    with_times, without = (Alarm(load_set(3, kappa=1e-3)) for _ in range(2))
-    found = [with_times.step(view, time_s) for view, time_s in zip(views, times, strict=True)]
-    spikes = [without.step(view).spike for view in views]
-    assert spikes[20] and not any(one.spike for one in found)
-    assert [t for t, one in enumerate(found) if not one.is_valid] == [0, 1, 20, 21]
-
-
 def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
     onset = run(doubled / "ten.avi", model=7).summary["first_alarm_frame"]
     grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--jobs", 1]

@@ -216,6 +216,17 @@ def test_by_its_own_sequence_a_copy_counts_once_and_a_gap_begins_anew():
     assert judged_anew(result).alarms.tolist() == [False] * 7 + [True]
 
 
+@pytest.mark.parametrize("gap_s", [0.0, 1.0])
+def test_a_potential_that_a_gap_in_time_ends_is_no_fault(gap_s):
+    """After a gap the model resets, and has none for a few frames."""
+    mp, time_s = np.arange(20.0), np.arange(20) / 25
+    mp[10:13], time_s[10:] = NAN, time_s[10:] + gap_s
+    result = make_result(mp, time_s=time_s)
+    result.rows["gap"][10] = gap_s > 0.0
+    lines = result.doubts()
+    assert any("undefined (NaN) at frame 10" in line for line in lines) == (gap_s == 0.0)
+
+
 def test_spikes_of_duplicate_frames_are_counted_once():
     result = result_of_level([0.1, 0.5, 0.5, 0.5, 0.1])
     result.rows["repeat"][[2, 3]] = True
@@ -240,11 +251,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     [
         ("mp.csv", lambda text: text.replace(",mp,", ",x,"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
-        (
-            "mp.csv",
-            lambda text: text + text.splitlines()[1] + "\n",
-            "its rows are not frames in order",
-        ),
+        ("mp.csv", lambda text: text + text.splitlines()[1] + "\n", "are not frames in order"),
         ("mp.csv", lambda text: text + "7,1\n", "line 5 does not have .* cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
@@ -252,11 +259,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
         ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "model 'other'"),
         ("run.yaml", lambda text: text.replace("width: 10", "width:"), "processed.width"),
-        (
-            "run.yaml",
-            lambda text: text.replace(f"schema: {SCHEMA}", "schema: 1"),
-            "another version",
-        ),
+        ("run.yaml", lambda text: text.replace(f"ema: {SCHEMA}", "ema: 1"), "another version"),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )

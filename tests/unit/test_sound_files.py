@@ -9,7 +9,7 @@ import pytest
 
 av = pytest.importorskip("av", reason="PyAV writes these videos")
 
-from damaged import copied, encode  # noqa: E402
+from damaged import copied, encode, remuxed, silence  # noqa: E402
 
 from dlgmd_cli.video.base import SourceInfo  # noqa: E402
 from dlgmd_cli.video.containers import Stated  # noqa: E402
@@ -26,11 +26,6 @@ def write(path, n_frames=45, codec="libx264", options=OPTIONS, **how):
     ground = np.random.default_rng(4).integers(0, 255, (48, 64 + n_frames), dtype=np.uint8)
     frames = [ground[:, n : n + 64] for n in range(n_frames)]
     return encode(path, frames, codec, options=options, fps=FPS, **how)
-
-
-def packets(path):
-    with av.open(str(path)) as container:
-        return [(one.pos, one.size) for one in container.demux(video=0) if one.size]
 
 
 def read(path, decoder):
@@ -130,22 +125,18 @@ def test_an_avi_that_counts_fields_is_sound(tmp_path, decoder, b_frames):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "codec"), [("ts", "libx264"), ("wmv", "wmv2"), ("nut", "mpeg4")]
+    ("suffix", "codec"), [("ts", "libx264"), ("wmv", "wmv2"), ("nut", "mpeg4"), ("mkv", "ffv1")]
 )
 def test_longer_sound_is_no_damage(tmp_path, decoder, suffix, codec):
     path = tmp_path / f"x.{suffix}"
     whole = write(tmp_path / f"whole.{suffix}", codec=codec, options={})
-    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
-        copy = writer.add_stream_from_template(reader.streams.video[0])
+    with remuxed(whole, path) as (writer, copy, packets):
         sound = writer.add_stream("mp2", rate=32000, layout="mono")
-        for packet in reader.demux(video=0):
-            if packet.dts is not None:
-                packet.stream = copy
-                writer.mux(packet)
+        for packet in packets:
+            packet.stream = copy
+            writer.mux(packet)
         for number in range(80):
-            frame = av.AudioFrame.from_ndarray(np.zeros((1, 1152), np.int16), "s16", "mono")
-            frame.sample_rate, frame.pts = 32000, 45000 + 1152 * number
-            writer.mux(sound.encode(frame))
+            writer.mux(sound.encode(silence(1152, 32000, 45000 + 1152 * number)))
         writer.mux(sound.encode(None))
     indices, _, progress = read(path, decoder)
     assert len(indices) == 45 and progress.damage == []
@@ -184,17 +175,13 @@ def test_frames_of_an_avi_without_times_are_no_farther_apart():
 def test_eight_sound_tracks_in_a_pause_are_no_damage(tmp_path, decoder):
     path, pause_s = tmp_path / "x.mkv", 12
     whole = write(tmp_path / "whole.mkv")
-    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
-        stream = reader.streams.video[0]
-        copy = writer.add_stream_from_template(stream)
+    with remuxed(whole, path) as (writer, copy, packets):
         sounds = [writer.add_stream("pcm_s16le", rate=8000) for _ in range(8)]
-        for packet in (one for one in reader.demux(stream) if one.dts is not None):
+        for packet in packets:
             if packet.pts == 667:  # the frame at which the recording goes on, in ms
                 for number in range(50 * pause_s):
                     for sound in sounds:
-                        samples = av.AudioFrame.from_ndarray(np.zeros((1, 160), np.int16))
-                        samples.sample_rate, samples.pts = 8000, 5336 + 160 * number
-                        writer.mux(sound.encode(samples))
+                        writer.mux(sound.encode(silence(160, at=5336 + 160 * number)))
             later = 1000 * pause_s * (packet.pts >= 667)
             packet.pts, packet.dts, packet.stream = packet.pts + later, packet.dts + later, copy
             writer.mux(packet)
@@ -207,10 +194,8 @@ def test_samples_without_an_image_are_no_damage(tmp_path, decoder):
     """Servers of RTMP send two messages (SEI) with each image."""
     path, message = tmp_path / "x.mp4", b"\x06\x05\x11" + bytes(range(17)) + b"\x80"
     whole = write(tmp_path / "whole.mp4", 120)
-    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
-        stream = reader.streams.video[0]
-        copy = writer.add_stream_from_template(stream)
-        for packet in (one for one in reader.demux(stream) if one.dts is not None):
+    with remuxed(whole, path) as (writer, copy, packets):
+        for packet in packets:
             at, base = packet.pts, packet.time_base
             packet.stream = copy
             writer.mux(packet)

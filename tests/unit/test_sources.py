@@ -240,6 +240,10 @@ def test_files_of_other_arrays_are_refused(tmp_path):
         np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
         with pytest.raises(SourceError, match=r"shape \(3, 4\)|cannot be read"):
             open_video(tmp_path / f"{name}.npy")
+    np.savez(tmp_path / "x.npz", x=np.zeros((9, 8, 8), np.uint8))
+    (tmp_path / "x.npz").replace(tmp_path / "x.npy")
+    with pytest.raises(SourceError, match="not an array of numbers in NumPy's format"):
+        open_video(tmp_path / "x.npy")
     with pytest.raises(ParameterError, match="not int"):
         dlgmd_cli.run(5)
 

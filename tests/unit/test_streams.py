@@ -32,15 +32,20 @@ def read(path, decoder, **options):
         return list(source), source.progress.warnings, source.info
 
 
-@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
-def test_b_frames_in_an_avi_are_steady(tmp_path, decoder, codec):
+@pytest.mark.parametrize(
+    ("name", "codec", "bf"),
+    [
+        *(("x.avi", codec, "2") for codec in ("mpeg4", "libx264")),
+        *(("x.m2v", "mpeg2video", bf) for bf in ("0", "2")),  # bare: it states its rate
+    ],
+)
+def test_b_frames_are_steady(tmp_path, decoder, name, codec, bf):
     if codec not in av.codecs_available:
         pytest.skip(f"this PyAV has no {codec}")
-    frames = noise(60)
-    path = encode(tmp_path / "x.avi", frames, codec, options={"bf": "2"}, fps=30)
-    found, warnings, _ = read(path, decoder)
-    assert warnings == [] and [one.index for one in found] == list(range(60))
-    assert [one.time_s for one in found] == pytest.approx([n / 30 for n in range(60)])
+    path = encode(tmp_path / name, noise(60), codec, options={"bf": bf}, fps=60)
+    found, warnings, info = read(path, decoder)
+    assert warnings == [] and info.fps == 60 and [one.index for one in found] == list(range(60))
+    assert [one.time_s for one in found] == pytest.approx([n / 60 for n in range(60)])
 
 
 def write_bare(folder, kind):
@@ -77,14 +82,6 @@ def test_frames_without_times_may_come_after_other_bytes(tmp_path, decoder):
     path.write_bytes(b"\n" + path.read_bytes())
     found, warnings, info = read(path, decoder, input_fps=60)
     assert len(found) == 20 and warnings == [] and info.fps == 60
-
-
-@pytest.mark.parametrize("bf", ["0", "2"])
-def test_bare_mpeg_video_states_its_rate_and_has_lost_nothing(tmp_path, decoder, bf):
-    path = encode(tmp_path / "x.m2v", noise(60), "mpeg2video", options={"bf": bf}, fps=60)
-    found, warnings, info = read(path, decoder)
-    assert warnings == [] and info.fps == 60 and [one.index for one in found] == list(range(60))
-    assert [one.time_s for one in found] == pytest.approx([n / 60 for n in range(60)])
 
 
 def test_an_interlaced_apng_of_which_no_frame_is_found_is_refused(tmp_path, decoder):

@@ -61,9 +61,7 @@ def test_values_of_a_range_are_what_one_would_write(start, step, count):
         ("a=0:1:1e-300", "values are more than 1000"),
         (f"a={','.join(map(str, range(MAX_VALUES + 1)))}", "1001 values are more than 1000"),
         ("a=1,1.0", "a = 1.0 appears twice"),
-        ("a=one", "a = 'one' is not a number"),
         ("r=2:3:0.5", "r = 2.5 is not a whole number"),
-        ("formulation=printed", "is not one of default, released-2021, released-2020, equations"),
     ],
 )
 def test_what_is_not_an_axis(text, why):
