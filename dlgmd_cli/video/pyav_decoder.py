@@ -6,6 +6,7 @@ import struct
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
-from dlgmd_cli.video.containers import Colours, Stated, stated_by
+from dlgmd_cli.video.containers import Colours, stated_by
 from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
 from dlgmd_cli.video.opencv_decoder import true_stamps, with_true_rate
 
@@ -37,6 +38,8 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 _BWDIF = "mode=send_frame:deint=all"
 # Types of the parts (NAL units) of H.264 that belong to images.
 _PARTS_OF_IMAGE = range(1, 6)
+# Number of side data kinds to add: PyAV 18 lacks four of FFmpeg 8; later versions may lack more.
+_N_NEWER_KINDS = 16
 _DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
@@ -92,7 +95,7 @@ class PyAVDecoder:
             base.require_memory()
             raise Unreadable
         self._frame = first
-        self._orientation = _orientation(first, stated)
+        self._orientation = _orientation(av, first)
         self._start_s = _seconds(stream.start_time or 0, stream)
         self.info = self._info(_choice(streams), is_interlaced=deinterlaces)
         if not probes:
@@ -337,13 +340,28 @@ def _choice(streams: Sequence["VideoStream"]) -> str:
     return base.choice(len(streams), number, context.width, context.height)
 
 
-def _orientation(frame: "VideoFrame", stated: Stated) -> Orientation:
-    """How the frame is to be turned and mirrored; Motion JPEG is not turned as its Exif asks."""
+def _orientation(av: ModuleType, frame: "VideoFrame") -> Orientation:
+    """How the frame is to be turned and mirrored."""
     try:
-        matrix: Any = frame.side_data.get("DISPLAYMATRIX")
+        side_data = frame.side_data
     except ValueError:  # side data of a kind that PyAV does not know, such as FFmpeg 8's Exif
-        return stated.orientation
+        side_data = _with_known_side_data(av, frame).side_data
+    matrix: Any = side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return UPRIGHT
     a, b, _, c, d, *_ = struct.unpack("=9i", bytes(matrix))
     return Orientation.of_matrix(a, b, c, d)
+
+
+def _with_known_side_data(av: ModuleType, frame: "VideoFrame") -> "VideoFrame":
+    """The frame without side data of kinds that are newer than PyAV."""
+    first_unknown = 1 + max(kind.value for kind in av.sidedata.sidedata.Type)
+    graph = av.filter.Graph()
+    size = {"width": frame.width, "height": frame.height}
+    nodes = [graph.add_buffer(**size, format=frame.format, time_base=Fraction(1))]
+    for kind in range(first_unknown, first_unknown + _N_NEWER_KINDS):
+        nodes.append(graph.add("sidedata", f"mode=delete:type={kind}"))
+    graph.link_nodes(*nodes, graph.add("buffersink")).configure()
+    graph.push(frame)
+    known: VideoFrame = graph.vpull()
+    return known

@@ -235,16 +235,27 @@ def test_a_grey_tiff_as_a_video(tmp_path):
     assert np.array_equal(first_grey(tmp_path / "x.tif"), RAMP)
 
 
-@pytest.mark.parametrize("decoder", ["opencv", "pyav"])
-def test_motion_jpeg_is_not_turned_as_its_exif_asks(tmp_path, decoder):
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_grey_motion_jpeg_with_exif_is_turned_and_mirrored(tmp_path, orientation):
     exif = Image.Exif()
-    exif[0x0112] = 6
+    exif[0x0112] = orientation
     picture = np.zeros((40, 64), np.uint8)
     picture[:8, :24], picture[-8:, :8] = 255, 128
     (tmp_path / "x.mjpeg").write_bytes(3 * pillow_image("JPEG", picture, quality=95, exif=exif))
-    frames, _ = read(tmp_path / "x.mjpeg", decoder)
+    frames, _ = read(tmp_path / "x.mjpeg")
+    upright = {
+        1: picture,
+        2: picture[:, ::-1],
+        3: picture[::-1, ::-1],
+        4: picture[::-1],
+        5: picture.T,
+        6: np.rot90(picture, -1),
+        7: picture[::-1, ::-1].T,
+        8: np.rot90(picture),
+    }[orientation]
     assert len(frames) == 3
-    assert frames[0].grey == pytest.approx(picture, abs=30)
+    assert frames[0].grey == pytest.approx(upright, abs=30)
+    assert len(read(tmp_path / "x.mjpeg", "opencv")[0]) == 3  # which does not turn it
 
 
 @pytest.mark.parametrize("seed", range(3))
