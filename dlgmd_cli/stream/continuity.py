@@ -218,7 +218,6 @@ class Continuity:
 
     def take(self) -> tuple[bool, bool]:
         """Take the latest frame; its `is_repeat` and `after_gap` refer to the last frame taken."""
-        is_repeat, after_gap = not self.is_new, self.is_new and self._after_gap
-        self._after_gap = self._after_gap and is_repeat
-        self.is_new = False
+        is_repeat, after_gap = not self.is_new, self._after_gap  # a frame after a gap is new
+        self.is_new = self._after_gap = False
         return is_repeat, after_gap

@@ -227,7 +227,7 @@ class Candidates:
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
         for label, result, params, signal in entries:
             n_sp = result.params.n_sp if params is None else result.rule.n_in_a_row
-            by_sequence = params is not None and result.by_sequence
+            by_sequence = result.by_sequence
             candidate = Candidate(label, n_sp, params, by_sequence, result.record)
             self.by_label.setdefault(label, candidate).signals[case.name] = signal
         self.cases.append(case)
