@@ -3,6 +3,7 @@
 import glob
 import itertools
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence, Sized
 from pathlib import Path
@@ -31,6 +32,8 @@ SUFFIXES = (
 )
 AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 _NUMBER = re.compile(r"(\d+)")
+# A number after one of these words is that of a camera, a channel or a plane, not of a frame.
+_CAMERA = re.compile(r"(?i)(?<![a-z])(c|cam|camera|ch|channel|eye|lens|sensor|view|z)[ _-]?$")
 _NO_IMAGE = "cannot be read as an image"
 # Images in a folder with videos are a sequence from this number on; fewer are thumbnails.
 MIN_PICTURES = 8
@@ -68,6 +71,7 @@ class ImageDecoder(_Series):
 
     def __init__(self, paths: list[Path], fps: float) -> None:
         super().__init__(paths, fps)
+        _require_one_camera(paths)
         try:
             first = read_image(paths[0])
         except Unreadable as error:
@@ -177,6 +181,35 @@ def numbered_places(paths: list[Path]) -> Sequence[int]:
     if step < 1 or any(size % step or size < step for size in steps):
         return in_order
     return [(number - numbers[0]) // step for number in numbers]
+
+
+def _require_one_camera(paths: list[Path]) -> None:
+    """Raise SourceError if the names are those of several cameras, channels or the like.
+
+    Names of two cameras differ by more than numbers, or by a number after a word such as `cam`, and
+    most of their other numbers are the same. Of times such as 0.25, the seconds are compared.
+    """
+    folder = Path(os.path.commonpath([path.parent for path in paths]))
+    names, patterns = dict[str, list[list[str]]](), dict[str, str]()
+    for path in paths:
+        parts = _NUMBER.split(str(path.relative_to(folder)))
+        counts = [at for at in range(1, len(parts), 2) if not _CAMERA.search(parts[at - 1])]
+        numbers = [parts[at] for at in counts if parts[at - 1] != "." or at - 2 not in counts]
+        name = "".join("*" if at in counts else part for at, part in enumerate(parts))
+        series = name.replace("*.*", "*")
+        names.setdefault(series, []).append(numbers)
+        # In a pattern, %d stands for digits only.
+        patterns[series] = name.replace("*", "%d") if len(counts) == 1 else name
+    frames = {}
+    for name, rows in names.items():
+        columns = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
+        frames[name] = set(zip(*columns, strict=True))
+    most = max(frames.values(), key=len)
+    cameras = [name for name in names if 2 * len(frames[name] & most) > len(frames[name])]
+    if len(cameras) > 1:
+        each = " and ".join(f"{len(names[name])} {name}" for name in cameras)
+        hint = f"Give those of one camera: '{folder / patterns[cameras[0]]}'."
+        raise SourceError(str(folder), f"holds several series of images: {each}", hint)
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:

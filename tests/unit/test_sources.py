@@ -404,6 +404,58 @@ def test_a_file_of_matlab_is_refused_with_a_call(version, reader):
     assert reader in error.value.hint
 
 
+def named(folder, names):
+    image = cv2.imencode(".png", FRAMES[0])[1].tobytes()
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(image)
+
+
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        ("x_cam_1_{:04}.png", "x_cam_2_{:04}.png"),
+        ("{:04}_cam0.png", "{:04}_cam1.png"),
+        ("cam1.{:04}.png", "cam2.{:04}.png"),
+        ("left{}.png", "right{}.png"),
+        ("{:04}L.png", "{:04}R.png"),
+        ("rgb_{:04}.png", "depth16_{:04}.png"),
+        ("{:04}.png", "{:04}_depth.png"),
+        ("{:04}.png", "{:04}.jpg"),
+        ("DJI_202301011200{0:02}_{0:04}_T.png", "DJI_202301011200{0:02}_{0:04}_V.png"),
+        ("left_16{}.11.png", "right_16{}.52.png"),
+        ("img_t{:03}_z01_c0.png", "img_t{:03}_z01_c1.png"),
+        ("left/{:04}.png", "right/{:04}.png"),
+    ],
+)
+def test_images_of_two_cameras_are_refused_with_a_pattern_that_works(tmp_path, cameras):
+    named(tmp_path, [name.format(number) for name in cameras for number in range(10, 30)])
+    with pytest.raises(SourceError, match="holds several series of images: 20 ") as error:
+        open_video(tmp_path / "*/*.png" if "/" in cameras[0] else tmp_path)
+    with open_video(error.value.hint.split("'")[1]) as video:
+        assert len(list(video)) == 20
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"cam_1_{number:04}.png" for number in range(40)],
+        [f"camera{number}.png" for number in range(40)],
+        [f"t{0.25 * number:g}.png" for number in range(40)],
+        [f"2024-01-01_12-{30 + number // 4}-{15 * (number % 4)}.png" for number in range(40)],
+        [f"{number:04}_{'blur' if number % 3 else 'ok'}.png" for number in range(40)],
+        [f"{number:04}.{'jpg' if number % 9 else 'png'}" for number in range(40)],
+        [f"part{1 + number // 20}_{number:04}.png" for number in range(40)],
+        [*(f"{number:04}.png" for number in range(37)), "0003 copy.png", "dark.png", "x.png"],
+        [f"{np.random.default_rng(number).bytes(4).hex()}.png" for number in range(40)],
+    ],
+)
+def test_images_of_one_camera_are_read(tmp_path, names):
+    named(tmp_path, names)
+    with open_video(tmp_path) as video:
+        assert len(list(video)) == 40
+
+
 def test_frames_on_the_last_axis_are_told():
     frames = np.array(FRAMES)[:8]
     with open_video(np.moveaxis(frames, 0, -1), input_fps=FPS) as video:
