@@ -36,8 +36,8 @@ def run(input_path: str, **arguments: Any) -> None:
       dlgmd run flight.mp4 --start 10 --end 20   # these ten seconds only
 
     INPUT is a video file, a folder of images, a quoted pattern such as 'frames/%04d.png' or
-    'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or a .npy array
-    of shape (n, H, W) or (n, H, W, 3).
+    'frames/*.png', a TIFF stack, a ROS bag (.bag, .mcap, or the folder of ROS 2), or an array (.npy
+    or .npz) of shape (n, H, W) or (n, H, W, 3).
 
     Writes these files into OUT/NAME/; the figures and captions in the formats of --format.
     {files}.

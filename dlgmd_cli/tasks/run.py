@@ -49,10 +49,10 @@ def run(
     ----------
     video : str, path, or iterable of ndarray
         A video file, a folder of images, a pattern such as ``frames/%04d.png``, a TIFF stack, a
-        ``.npy`` file, or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see
-        `open_video`. For images in memory, `fps` is their rate (30 unless given), and all are
-        processed. For all other inputs, `fps` limits the rate; images, stacks and ``.npy`` files
-        then need `input_fps`.
+        ``.npy`` or ``.npz`` file, or images: an array (n, H, W) or (n, H, W, 3), or any iterable
+        of them, see `open_video`. For images in memory, `fps` is their rate (30 unless given), and
+        all are processed. For all other inputs, `fps` limits the rate; images, arrays and stacks
+        without times then need `input_fps`.
     model : optional
         A set's number (``9``), the name of a preset or a model (``"flight"``, ``"lgmd"``), a class,
         parameters, or a YAML file; a list of them runs several over one decoding. The default is

@@ -31,12 +31,10 @@ from dlgmd_cli.video.containers import stated_by
 from dlgmd_cli.video.content import has_analog_size, is_combed
 from dlgmd_cli.video.given_times import given_times
 from dlgmd_cli.video.images import (
+    ARRAYS,
     NAME,
-    SUFFIX,
-    TIFF,
     ArrayDecoder,
     ImageDecoder,
-    TiffPages,
     load_array,
     pictures_at,
 )
@@ -45,6 +43,7 @@ from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
 from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.source import Selection, Video
+from dlgmd_cli.video.tiff import TIFF, TiffDecoder, n_pages
 from dlgmd_cli.video.timestamps import rate_between_gaps, steady_fps
 
 # Inputs of `open_video`: a path, or images in memory.
@@ -93,9 +92,9 @@ def open_video(
     path : str, path, or iterable of ndarray
         A video file; a ROS bag (the folder, of ROS 2) or MCAP file; a folder of images; a pattern
         such as ``frames/%04d.png`` (an existing file or folder of this name takes precedence); a
-        ``.npy`` file; a TIFF stack; or the images themselves: an array (n, H, W) or (n, H, W, 3),
-        or any iterable of images (H, W) or (H, W, 3). Colour is BGR, as OpenCV has it; images are
-        uint8, uint16, or float from 0 to 1.
+        ``.npy`` file, or ``.npz`` of one array; a TIFF stack; or the images themselves: an array
+        (n, H, W) or (n, H, W, 3), or any iterable of images (H, W) or (H, W, 3). Colour is BGR, as
+        OpenCV has it; images are uint8, uint16, or float from 0 to 1.
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
@@ -170,7 +169,7 @@ def open_video(
         given = given_times(times, input_fps, stated_fps)
         file_fps = stated_fps or input_fps or base.FALLBACK_FPS
         fps = given.fps if given else file_fps
-        has_rate = is_continuous or input_fps is not None or given is not None
+        has_rate = is_continuous or bool(stated_fps or input_fps or given)
         most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
@@ -218,7 +217,7 @@ def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) ->
 def _nominal_fps(path: str, opened: Decoder) -> float | None:
     """The stated frame rate of a source, or the rate between gaps if the stated rate is lower."""
     info = opened.info
-    if opened.kind not in base.DECODERS or opened.takes_every_frame or info.fps_stated is None:
+    if opened.kind not in base.DECODERS or info.fps_stated is None:
         return info.fps_stated
     if info.is_interlaced:  # each packet may be a field
         return info.fps_stated
@@ -279,9 +278,10 @@ def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
     """Lines for the user about how an input is read, and the frame rate if it was assumed."""
     if opened.info.remark:
         yield opened.info.remark
-    is_bare = opened.info.fps_stated is None and opened.kind in base.DECODERS
-    if (opened.takes_every_frame or is_bare) and assumed_fps is not None:
+    is_untimed = opened.info.fps_stated is None and opened.kind != bags.NAME
+    if is_untimed and assumed_fps is not None:
         what = "an array has" if opened.info.codec == NAME else "images have"
+        is_bare = not opened.takes_every_frame
         what = "the stream states no frame rate and has" if is_bare else what
         taken = f"taken as {assumed_fps:g} fps (set it with {argument('input_fps')})"
         yield f"{what} no times; {taken}"
@@ -309,13 +309,16 @@ def _source(
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
     name = input_name(file, are_pictures=pictures is not None)
     if pictures is not None:
+        if n_pages(pictures[0]) > 1:
+            hint = "Give one stack, or the folder to 'dlgmd batch'."
+            raise SourceError(str(pictures[0]), "is a stack of images, a video of its own", hint)
         return name, where, partial(ImageDecoder, pictures, fps)
     if not is_folder_of_bag:
         _check_readable(file)
-    if file.suffix.lower() == SUFFIX:
+    if file.suffix.lower() in ARRAYS:
         return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
     if file.suffix.lower() in TIFF:
-        return name, where, lambda: ArrayDecoder(TiffPages(file), fps, str(path), "tiff")
+        return name, where, partial(TiffDecoder, file, fps)
     if bags.is_bag(file):
         return name, where, partial(bags.BagDecoder, file, topic)
     return name, where, partial(_open_file, file, decoder)
@@ -432,6 +435,12 @@ def _check_readable(path: Path) -> None:
         raise SourceError(name, f"cannot be read ({error.strerror})") from None
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
+    if start.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
+        array = f"np.moveaxis(scipy.io.loadmat({name!r})['NAME'], -1, 0)"
+        if start == b"MATLAB 7":  # of version 7.3 on: HDF5, whose axes are in reverse
+            array = f"h5py.File({name!r})['NAME'][:].swapaxes(-1, -2)"
+        hint = f"Give its array (H, W, n) in Python: dlgmd_cli.run({array})."
+        raise SourceError(name, "is a file of MATLAB, not a video", hint)
     if start.startswith(PLAYLISTS):
         hint = "Give one of the videos it names."
         raise SourceError(name, "is a list of other files, not a video", hint)

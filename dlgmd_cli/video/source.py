@@ -350,7 +350,7 @@ class Video:
         if self._decoder.kind in DECODERS and path.is_file() and len(times):
             info = replace(self.info, fps=self._file_fps)
             return lost_frames(path, info, times, is_damaged=is_damaged)
-        return "the file is damaged" if is_damaged else "", None
+        return "the file is cut off or damaged" if is_damaged else "", None
 
     def _ending(self, fault: str) -> str:
         n_frames, stated = self.progress.n_decoded, self.info.n_frames

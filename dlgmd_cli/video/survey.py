@@ -129,8 +129,7 @@ def survey(
                 on_frame(picture.index + 1)
                 cancel.check()
     info, done = video.info, video.progress
-    is_timed = is_bag or (is_video and info.fps_stated is not None)
-    rates = done.frame_rates if is_timed else None
+    rates = done.frame_rates if is_bag or info.fps_stated is not None else None
     crop, still = (None, None) if extremes is None else _proposal(*extremes, done.n_new)
     return Survey(
         path=os.fspath(path),
@@ -138,7 +137,7 @@ def survey(
         height=info.height,
         frames=done.n_decoded,
         duration_s=done.last_time_s + 1.0 / info.fps,
-        fps_stated=info.fps_stated if is_video or is_bag else None,
+        fps_stated=info.fps_stated,
         fps_true=rates.mean_fps if rates else None,
         fps_range=(rates.min_fps, rates.max_fps) if rates else None,
         is_variable=rates is not None and rates.varies,

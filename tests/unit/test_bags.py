@@ -229,7 +229,7 @@ def test_damage_within_a_bag_ends_the_reading_with_a_warning(written, monkeypatc
     with open_video(written[".mcap"], topic=IMAGE) as video:
         assert len(list(video)) == 15
     (warning,) = video.progress.warnings
-    assert "the file is damaged; decoded and used 15 of about 24 frames" in warning
+    assert "the file is cut off or damaged; decoded and used 15 of about 24 frames" in warning
 
 
 def test_batch_finds_bags(written, tmp_path):

@@ -240,10 +240,9 @@ def test_files_of_other_arrays_are_refused(tmp_path):
         np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
         with pytest.raises(SourceError, match=r"shape \(3, 4\)|cannot be read"):
             open_video(tmp_path / f"{name}.npy")
-    np.savez(tmp_path / "x.npz", x=np.zeros((9, 8, 8), np.uint8))
-    (tmp_path / "x.npz").replace(tmp_path / "x.npy")
+    (tmp_path / "x.npz").write_bytes(bytes(99))
     with pytest.raises(SourceError, match="not an array of numbers in NumPy's format"):
-        open_video(tmp_path / "x.npy")
+        open_video(tmp_path / "x.npz")
     with pytest.raises(ParameterError, match="not int"):
         dlgmd_cli.run(5)
 
@@ -360,13 +359,113 @@ def test_samples_of_0_and_1_alone_are_told(tmp_path, kind):
         assert line not in video.progress.warnings
 
 
+COLOUR = np.array(FRAMES)[..., None].repeat(4, 3)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.moveaxis(COLOUR[..., :3], -1, 1),
+        np.moveaxis(COLOUR, -1, 1),
+        np.moveaxis(COLOUR[..., :1], -1, 1),
+        np.moveaxis(COLOUR[..., :3], 0, -1),
+        COLOUR,
+        COLOUR[..., :1],
+    ],
+    ids=["n3HW", "n4HW", "n1HW", "HW3n", "nHW4", "nHW1"],
+)
+def test_colours_on_another_axis_are_refused_with_a_call_that_works(array):
+    with pytest.raises(SourceError) as error:
+        open_video(array)
+    call = error.value.hint.removeprefix("Give ").removesuffix(".")
+    with open_video(eval(call, {"np": np, "array": array})) as video:
+        greys = [frame.grey for frame in video]
+    with open_video(FRAMES) as video:
+        np.testing.assert_array_equal(greys, [frame.grey for frame in video])
+
+
+@pytest.mark.usefixtures("here")
+def test_an_npz_file_of_one_array_is_read_and_others_are_refused():
+    np.savez_compressed("one.npz", frames=FRAMES)
+    with open_video("one.npz") as video:
+        assert len(list(video)) == N_FRAMES
+    np.savez("two.npz", t=np.arange(20.0), frames=FRAMES)
+    with pytest.raises(SourceError, match="holds the arrays t, frames") as error:
+        open_video("two.npz")
+    assert error.value.hint.endswith(": in Python, dlgmd_cli.run(np.load('two.npz')['frames']).")
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(("version", "reader"), [("5.0", "scipy.io.loadmat"), ("7.3", "h5py")])
+def test_a_file_of_matlab_is_refused_with_a_call(version, reader):
+    Path("x.mat").write_bytes(f"MATLAB {version} MAT-file".encode() + bytes(200))
+    with pytest.raises(SourceError, match="is a file of MATLAB, not a video") as error:
+        open_video("x.mat")
+    assert reader in error.value.hint
+
+
+def named(folder, names):
+    image = cv2.imencode(".png", FRAMES[0])[1].tobytes()
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(image)
+
+
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        ("x_cam_1_{:04}.png", "x_cam_2_{:04}.png"),
+        ("{:04}_cam0.png", "{:04}_cam1.png"),
+        ("cam1.{:04}.png", "cam2.{:04}.png"),
+        ("left{}.png", "right{}.png"),
+        ("{:04}L.png", "{:04}R.png"),
+        ("rgb_{:04}.png", "depth16_{:04}.png"),
+        ("{:04}.png", "{:04}_depth.png"),
+        ("{:04}.png", "{:04}.jpg"),
+        ("DJI_202301011200{0:02}_{0:04}_T.png", "DJI_202301011200{0:02}_{0:04}_V.png"),
+        ("left_16{}.11.png", "right_16{}.52.png"),
+        ("img_t{:03}_z01_c0.png", "img_t{:03}_z01_c1.png"),
+        ("left/{:04}.png", "right/{:04}.png"),
+    ],
+)
+def test_images_of_two_cameras_are_refused_with_a_pattern_that_works(tmp_path, cameras):
+    named(tmp_path, [name.format(number) for name in cameras for number in range(10, 30)])
+    with pytest.raises(SourceError, match="holds several series of images: 20 ") as error:
+        open_video(tmp_path / "*/*.png" if "/" in cameras[0] else tmp_path)
+    with open_video(error.value.hint.split("'")[1]) as video:
+        assert len(list(video)) == 20
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"cam_1_{number:04}.png" for number in range(40)],
+        [f"camera{number}.png" for number in range(40)],
+        [f"t{0.25 * number:g}.png" for number in range(40)],
+        [f"2024-01-01_12-{30 + number // 4}-{15 * (number % 4)}.png" for number in range(40)],
+        [f"{number:04}_{'blur' if number % 3 else 'ok'}.png" for number in range(40)],
+        [f"{number:04}.{'jpg' if number % 9 else 'png'}" for number in range(40)],
+        [f"part{1 + number // 20}_{number:04}.png" for number in range(40)],
+        [*(f"{number:04}.png" for number in range(37)), "0003 copy.png", "dark.png", "x.png"],
+        [f"{np.random.default_rng(number).bytes(4).hex()}.png" for number in range(40)],
+    ],
+)
+def test_images_of_one_camera_are_read(tmp_path, names):
+    named(tmp_path, names)
+    with open_video(tmp_path) as video:
+        assert len(list(video)) == 40
+
+
 def test_frames_on_the_last_axis_are_told():
     frames = np.array(FRAMES)[:8]
     with open_video(np.moveaxis(frames, 0, -1), input_fps=FPS) as video:
         (line,) = video.progress.warnings
     read_as = f"({HEIGHT}, {WIDTH}, 8) is read as {HEIGHT} frames of 8x{WIDTH} px"
     assert line.startswith(f"its array {read_as}; if the last axis counts the frames, give")
-    for others in (frames, np.moveaxis(np.array(FRAMES), 0, -1), list(frames)):
+    with open_video(np.moveaxis(np.array(FRAMES), 0, -1), input_fps=FPS) as video:
+        assert "(24, 32, 20) is read as 24 frames of 20x32 px" in video.progress.warnings[0]
+    noise = np.random.default_rng(7).integers(0, 256, (30, 24, 32), np.uint8)
+    for others in (frames, np.array(FRAMES), np.array(FRAMES)[::5], noise, list(frames)):
         with open_video(others, input_fps=FPS) as video:
             assert video.progress.warnings == []
 

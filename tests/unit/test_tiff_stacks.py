@@ -8,7 +8,7 @@ from conftest import looming_frames, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video import images
+from dlgmd_cli.video import tiff
 from dlgmd_cli.video.opening import open_video
 
 FRAMES = looming_frames()
@@ -29,7 +29,7 @@ def stack(path, pages, compression=1):
 @pytest.mark.parametrize("compression", [1, 5, 32946], ids=["none", "LZW", "zlib"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_stack_is_its_pages(tmp_path, monkeypatch, kind, compression, at_once):
-    monkeypatch.setattr(images, "_BYTES_AT_ONCE", at_once)
+    monkeypatch.setattr(tiff, "_BYTES_AT_ONCE", at_once)
     path = stack(tmp_path / "x.tif", KINDS[kind], compression)
     with open_video(path, input_fps=500) as video:
         greys = np.array([frame.grey for frame in video], float)
@@ -67,6 +67,145 @@ def test_a_broken_stack_is_refused(tmp_path):
     path.write_bytes(whole[:8] + bytes(500) + whole[508:])
     with open_video(path) as video:  # levels of the first pages are lost, and nothing else
         assert len(list(video)) == len(FRAMES)
+    path.write_bytes(whole[:8] + bytes(len(whole) - 8))
+    with pytest.raises(SourceError, match="cannot be read as a TIFF file"):
+        open_video(path)
+
+
+def described(path, pages, description):
+    """A stack with a description, as ImageJ, Bio-Formats or tifffile leave it in a file."""
+    stack(path, pages)
+    with path.open("ab") as file:
+        file.write(description.encode() + b"\0")
+    return path
+
+
+def ome(facts, content=""):
+    pixels = f"<Pixels ID='P' {facts} SizeX=\"32\">{content}</Pixels>"
+    return f'<?xml version="1.0"?><OME xmlns="urn:x"><Image ID="I">{pixels}</Image></OME>'
+
+
+def ome_axes(order, channels=1, slices=1, frames=1, more="", content=""):
+    sizes = f'SizeC="{channels}" SizeZ="{slices}" SizeT="{frames}"'
+    return ome(f'DimensionOrder="{order}" {sizes} {more}', content)
+
+
+def imagej(**facts):
+    return "".join(f"{key}={value}\n" for key, value in {"ImageJ": "1.54f", **facts}.items())
+
+
+@pytest.mark.parametrize(
+    ("description", "sizes", "taken"),
+    [
+        (imagej(images=20, channels=2, frames=10), "10 frames x 2 channels", range(0, 20, 2)),
+        (imagej(images=20, slices=4, frames=5), "5 frames x 4 slices", range(0, 20, 4)),
+        (imagej(channels=2, slices=10), "10 slices x 2 channels", range(0, 20, 2)),
+        (imagej(channels=2, slices=2, frames=5), "5 frames x 2 slices x 2 ch", range(0, 20, 4)),
+        (ome_axes("XYCZT", channels=2, frames=10), "10 frames x 2 channels", range(0, 20, 2)),
+        (ome_axes("XYZTC", channels=2, frames=10), "2 channels x 10 frames", range(10)),
+        (ome_axes("XYCTZ", 2, 2, 5), "2 slices x 5 frames x 2 channels", range(0, 10, 2)),
+        (ome_axes("XYCZT", frames=10) + ome_axes("XYCZT", frames=10), "10 frames", range(20)),
+        ('{"shape": [10, 2, 24, 32]}', "10 on axis 0 x 2 on axis 1", range(0, 20, 2)),
+    ],
+)
+def test_a_stack_of_more_than_frames_is_refused_with_a_call_that_works(
+    tmp_path, description, sizes, taken
+):
+    path = described(tmp_path / "x.tif", KINDS["8 bits"], description)
+    if len(taken) == 20:  # of two series, of which the first description is read
+        with open_video(path) as video:
+            assert f"it has 20 images, but states {sizes}" in video.progress.warnings
+        return
+    with pytest.raises(SourceError) as error:
+        open_video(path)
+    assert error.value.why.startswith(f"holds {sizes}")
+    call = error.value.hint.partition("run(")[2].partition(") takes")[0]
+    np.testing.assert_array_equal(eval(call, {"cv2": cv2}), KINDS["8 bits"][taken])
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        imagej(images=20, slices=20, loop="false"),
+        imagej(images=20, channels=20, hyperstack="true"),  # tifffile, without axes
+        imagej(images=20, frames=20, channels="one"),
+        ome_axes("XYCZT", channels=1, slices=20),
+        ome_axes("XYCZT", channels=3, frames=20, content="<Channel SamplesPerPixel='3'/>"),
+        ome("SizeT='20'"),
+        '{"shape": [20, 24, 32, 3]}',
+        '{"shape": "unknown"}',
+    ],
+)
+def test_an_ordinary_stack_is_read(tmp_path, description):
+    path = described(tmp_path / "x.tif", KINDS["colour"], description)
+    with open_video(path) as video:
+        assert video.info.n_frames == len(list(video)) == len(FRAMES)
+        assert [line[:20] for line in video.progress.warnings] == ["images have no times"]
+
+
+UNEVEN = [2.0 + 0.1 * number + 0.03 * (number % 2) for number in range(len(FRAMES))]
+PLANES = "".join(
+    f'<Plane TheT="{number}" DeltaT="{time_s * 1e3}" DeltaTUnit="ms"/>'
+    for number, time_s in enumerate(UNEVEN)
+)
+
+
+@pytest.mark.parametrize(
+    ("description", "times"),
+    [
+        (imagej(frames=20, finterval=0.1), [0.1 * number for number in range(20)]),
+        (imagej(frames=20, finterval=4, tunit="ms"), [0.004 * number for number in range(20)]),
+        (imagej(slices=20, finterval=0, fps=25), [0.04 * number for number in range(20)]),
+        (imagej(slices=20, finterval=2, tunit="min"), [120.0 * number for number in range(20)]),
+        (
+            ome_axes("XYCZT", frames=20, more='TimeIncrement="50" TimeIncrementUnit="&#181;s"'),
+            [5e-5 * number for number in range(20)],
+        ),
+        (
+            ome_axes("XYCZT", frames=20, more='TimeIncrement="9"', content=PLANES),
+            [time_s - 2.0 for time_s in UNEVEN],
+        ),
+    ],
+)
+def test_the_times_of_a_stack_are_those_that_it_states(tmp_path, description, times):
+    path = described(tmp_path / "x.tif", KINDS["8 bits"], description)
+    with open_video(path) as video:
+        assert [frame.time_s for frame in video] == pytest.approx(times)
+        assert video.progress.warnings == []
+    with open_video(path, max_fps=video.info.fps / 2) as video:  # it states a rate to limit
+        assert len(list(video)) <= 11
+    with open_video(path, input_fps=2 * video.info.fps) as video:
+        assert [frame.time_s for frame in video] == pytest.approx([0.5 * time for time in times])
+
+
+@pytest.mark.parametrize("description", ["", imagej(frames=20, finterval=0.1)])
+@pytest.mark.parametrize("compression", [1, 5])
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.9])
+def test_a_stack_that_is_cut_off_says_so(tmp_path, share, compression, description):
+    path = stack(tmp_path / "x.tif", KINDS["8 bits"], compression)
+    # The description of ImageJ is at the beginning: here in the place of the first levels.
+    whole = path.read_bytes()
+    whole = whole[:8] + description.encode() + b"\0" + whole[9 + len(description) :]
+    path.write_bytes(whole[: int(share * len(whole))])
+    with open_video(path) as video:
+        n_frames = len(list(video))
+    assert 20 * share - 2 <= n_frames <= 20 * share + 1
+    (damage,) = video.progress.damage
+    of = f"{n_frames} of about 20" if description else n_frames
+    assert damage.startswith(f"the file is cut off or damaged; decoded and used {of} frames")
+
+
+def test_one_page_for_many_images_is_refused(tmp_path):
+    path = described(tmp_path / "x.tif", KINDS["8 bits"][:1], imagej(images=60, frames=60))
+    with pytest.raises(SourceError, match=r"single page for 60 frames.*tifffile.memmap\('"):
+        open_video(path)
+    described(path, KINDS["8 bits"][:1], imagej(frames=30, channels=2))
+    with pytest.raises(SourceError, match=r"30 frames x 2 channels.*x.tif'\)\[:, 0\]\)"):
+        open_video(path)
+    big_endian = KINDS["16 bits"].astype(">u2")  # as tifffile maps it
+    with open_video(big_endian) as video, open_video(KINDS["16 bits"]) as other:
+        for frame, expected in zip(video, other, strict=True):
+            np.testing.assert_array_equal(frame.grey, expected.grey)
 
 
 @pytest.mark.usefixtures("here")

@@ -20,9 +20,10 @@ from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.bags import is_bag
 from dlgmd_cli.video.base import Unreadable, is_video
-from dlgmd_cli.video.images import MIN_PICTURES, n_pages, read_image
+from dlgmd_cli.video.images import MIN_PICTURES, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.opening import fingerprint
+from dlgmd_cli.video.tiff import n_pages
 
 if TYPE_CHECKING:
     from upath import UPath
