@@ -38,8 +38,10 @@ _FIRST_VIDEO, _LAST_VIDEO, _ANEW = 0xE0, 0xEF, 0x80
 # Ticks of 1/90000 s after which their times begin anew, and by which no B-frame goes back.
 _WRAP, _BACK = 1 << 33, 45000
 Places = npt.NDArray[np.intp]
-# FLV: the first byte of tags of sound, video and data.
-_TAGS_OF_FLV = (b"\x08", b"\x09", b"\x12")
+# AVI: what the index says of an image.
+_INDEXED = re.compile(rb"\d\dd[bc].{8}(?!\0{4})", re.S)
+# FLV: the first byte of tags of sound, video and data, and the codecs that send more than images.
+_TAGS_OF_FLV, _IN_PARTS = (8, 9, 18), (7, 12)
 # FLV: the size of the file among the facts at its beginning.
 _SIZE_OF_FLV, _N_HEAD = re.compile(rb"filesize\0(.{8})", re.S), 1 << 16
 # Number of packets that are checked at a time.
@@ -77,27 +79,41 @@ def structure_of(path: Path, stated: Stated) -> Structure:
             return _of_transport(mapped(path))
         if stated.kind == "flv":
             return _of_flv(mapped(path))
-        ends_early = {"avi": _avi_is_cut, "y4m": _y4m_is_cut, "apng": _apng_is_cut}[stated.kind]
+        if stated.kind == "avi":
+            return _of_avi(mapped(path))
+        ends_early = {"y4m": _y4m_is_cut, "apng": _apng_is_cut}[stated.kind]
         return Structure(is_cut=ends_early(mapped(path)))
     return Structure()
 
 
 def _of_flv(data: mmap.mmap) -> Structure:
-    """Whether the end is lost, by the stated size of the file, or else by the last tag."""
+    """Counts the images of a file; faults: no tag where one should begin, or of another size."""
     found = _SIZE_OF_FLV.search(data[:_N_HEAD])
-    size = int(struct.unpack(">d", found[1])[0]) if found else 0
-    if size > 0:
-        is_joined = data[size : size + 3] == b"FLV"
-        return Structure(is_cut=len(data) < size, n_joined=1 + is_joined)
-    n_bytes = int.from_bytes(data[-4:], "big")  # each tag is followed by its size
-    return Structure(is_cut=data[-4 - n_bytes : -3 - n_bytes] not in _TAGS_OF_FLV)
+    stated = int(struct.unpack(">d", found[1])[0]) if found else 0
+    n_frames, n_joined, at = 0, 1, 13
+    while at < len(data):
+        if data[at : at + 3] == b"FLV":
+            n_joined, at = n_joined + 1, at + 13
+            continue
+        n_bytes = 11 + int.from_bytes(data[at + 1 : at + 4], "big")
+        end = at + n_bytes + 4
+        if data[at] not in _TAGS_OF_FLV or data[end - 4 : end] != n_bytes.to_bytes(4, "big"):
+            is_fault = at < (stated or len(data))  # else it is what follows the file
+            return Structure(n_frames, is_fault, is_fault and end > len(data), n_joined)
+        is_image = data[at + 11] & 0x0F not in _IN_PARTS or data[at + 12] == 1
+        n_frames += data[at] == 9 and is_image
+        at = end
+    return Structure(n_frames, 0, len(data) < stated, n_joined)
 
 
-def _avi_is_cut(data: mmap.mmap) -> bool:
-    at = 0
-    while data[at : at + 4] == b"RIFF":
-        at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
-    return at > len(data)
+def _of_avi(data: mmap.mmap) -> Structure:
+    """Counts the images in the index, but not those left out on purpose, of size 0.
+
+    The number is 0 without an index, or if it is of the first part only.
+    """
+    end, at = 8 + int.from_bytes(data[4:8], "little"), data.rfind(b"idx1")
+    is_whole = at > 0 and data[end : end + 4] != b"RIFF"
+    return Structure(len(_INDEXED.findall(data[at:])) if is_whole else 0)
 
 
 def _y4m_is_cut(data: mmap.mmap) -> bool:
@@ -255,22 +271,18 @@ def lost_frames(path: Path, info: SourceInfo, times: Sequence[float], *, is_dama
     """
     stated, fps = containers.stated_by(path), info.fps_stated or info.fps
     structure, n_frames = structure_of(path, stated), info.n_frames or 0
-    n_known = n_frames if stated.kind == "avi" else structure.n_frames
+    n_known = structure.n_frames or (n_frames if stated.kind == "avi" else 0)
     n_short = max(0, n_known - len(times)) if n_known else None
     # When the last frame begins. It may be held; an edit list may end within a frame.
     held_s = stated.held_s or 1.0 / fps
     end_s = min(n_frames / fps - held_s, stated.end_s - 1.5 / fps) if stated.has_length else 0.0
     step_s = median(np.diff(times).tolist()) if len(times) > 1 else 1.0 / info.fps
     after_s, remark = times[-1] + 0.5 * step_s, _remark(structure)
-    is_late = after_s < end_s
-    if stated.kind in ("mp4", "mkv"):
-        is_late &= n_short != 0
-    elif stated.kind != "y4m" and is_late:  # no packet is later if the last frame is held
-        is_late = not _is_complete(path, after_s)
+    is_late = after_s < end_s and n_short != 0
     n_late = round(times[0] * info.fps)
     has_messages = info.codec.lower() in _H264 and not stated.is_in_steps
     fault = ""
-    is_whole = stated.kind in ("avi", "mp4") and n_short == 0  # only sound or an index is cut off
+    is_whole = stated.kind == "mp4" and n_short == 0  # only sound is cut off, or a remark
     if is_late or (structure.is_cut and not is_whole):
         fault = "frames are missing, the file is cut off or damaged"
     elif structure.n_faults:
