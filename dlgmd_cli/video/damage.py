@@ -199,7 +199,7 @@ def _of_transport(data: mmap.mmap) -> Structure:
         last = counts[-1] if counts.size else last
     # A recording of a broadcast may begin and end within a packet.
     is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
-    joints = _joints(packets, np.array(images), np.array(jumps))
+    joints = _joints(packets, np.array(images, np.intp), np.array(jumps, np.intp))
     n_faults += np.count_nonzero(~np.isin(np.searchsorted(images, jumps), joints))
     return Structure(len(images), int(n_faults), is_cut, 1 + len(joints))
 

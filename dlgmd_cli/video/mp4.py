@@ -4,6 +4,8 @@ import mmap
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from dlgmd_cli.video.containers import Structure, after_times, box, boxes, number_at
 
 # The beginning of a fragment, after its size, and fewer bytes than a fragment has.
@@ -79,6 +81,6 @@ def _last_listed(table: memoryview) -> int:
 
 def _is_lost(tail: memoryview, before: bytes) -> bool:
     """Whether a file's last bytes, which are no box, were fragments: no padding, and no remark."""
-    if not any(tail):  # then the last box ends in zeros, too
+    if not np.frombuffer(tail, np.uint8).any():  # then the last box ends in zeros, too
         return not any(before)
     return len(tail) > _FEW_BYTES or (len(tail) < 8 and tail[0] == 0)
