@@ -23,7 +23,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named, Value, of_another_schema, part_of
+from dlgmd_cli.parameters.facts import InputFacts, Named, Value, of_another_schema, part_of
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -308,7 +308,7 @@ class Config:
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
     are the frame width and the frame rate that the parameters are designed for. `camera` has what
-    it says of the camera, `fov` and `camera_tilt`.
+    it says of the camera, `fov` and `camera_tilt`. `recorded` is the input in a run.yaml.
     `kind` is the class of the parameters where it is known already; `model` names it else.
     """
 
@@ -320,6 +320,7 @@ class Config:
     options: dict[str, Value] = field(default_factory=dict)
     named: Named = field(default_factory=Named)
     camera: dict[str, float] = field(default_factory=dict)
+    recorded: InputFacts = field(default_factory=InputFacts)
     kind: type[Parameters] | None = None
 
     @property
@@ -483,6 +484,8 @@ def load_config(path: str | Path) -> Config:
         del values[word]
     base = _named(name, named) if named and not is_record else Config(name)
     described |= {"options": options, "named": named}
+    recorded = document.get("input")
+    described["recorded"] = recorded if is_record and isinstance(recorded, dict) else {}
     described["camera"] = {key: described.pop(key) for key in ANGLES if key in described}
     return replace(base, name=name, values={**base.values, **values}, **described)
 

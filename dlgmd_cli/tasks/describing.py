@@ -55,20 +55,29 @@ def identified(
 ) -> InputFacts:
     """The facts that identify an input in a record, with its SHA-256.
 
-    By default, coded local videos and images of up to 2 GB are hashed, but not raw frames: hashing
-    takes as long as reading them. With the option `hashed`, any file is hashed; raises SourceError
-    if the file cannot be read.
+    By default, local files and images of up to 2 GB are hashed, but not raw video: hashing takes as
+    long as reading it. With the option `hashed`, any file is hashed; raises SourceError if the file
+    cannot be read.
     """
     info = video.info
     known: InputFacts = {**(info.identity if identity is None else identity)}
-    is_coded = info.codec not in ("", "array", "rawvideo")
-    is_worth_it = is_coded and not is_url(str(known.get("path")))
+    is_raw = info.codec in ("", "rawvideo")
+    is_worth_it = "path" in known and not (is_raw or is_url(known["path"]))
     if options.hashed or (options.hashed is None and is_worth_it):
         most_bytes = math.inf if options.hashed else HASHED_BYTES
         with nullcontext() if options.hashed else suppress(SourceError):
             if digest := content_sha256(info.path, most_bytes):
                 known["content_sha256"] = digest
     return known
+
+
+def changed_since(setup: Setup, identity: InputFacts, name: str) -> str:
+    """A warning if a run.yaml is repeated on a file of the same name with other content."""
+    recorded = setup.config.recorded
+    before, now = recorded.get("content_sha256"), identity.get("content_sha256")
+    if not (before and now) or before == now or recorded.get("name") != name:
+        return ""
+    return f"{name} is not the file of {setup.config.name}: its content differs (SHA-256)"
 
 
 def model_record(setup: Setup, model: Model) -> Record:

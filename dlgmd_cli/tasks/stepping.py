@@ -18,7 +18,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import OnFrame, Progress, Request, Setup
 from dlgmd_cli.tasks.camera import camera_of, read_headings
-from dlgmd_cli.tasks.describing import build_result, doubts_of, identified
+from dlgmd_cli.tasks.describing import build_result, changed_since, doubts_of, identified
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.source import Video, read_ahead
 
@@ -143,6 +143,8 @@ def run_models(
             video, setup, model, rows, options, identity, is_read=is_read, more=entry
         )
         result.warnings.extend(doubts_of(result, camera, video.source_wh, options.heading))
+        if change := changed_since(setup, identity or {}, video.info.name):
+            result.warnings.append(change)
         results.append(result)
     if fault is not None:
         fault.results = tuple(results)

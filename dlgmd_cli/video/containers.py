@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dlgmd_cli.video.luma import UPRIGHT, Orientation
 
 # Exceptions of reading numbers from damaged bytes.
-_DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
+DAMAGE = (ValueError, LookupError, ArithmeticError, StopIteration, struct.error)
 # Matroska: the names of elements.
 EBML, SEGMENT, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
 _TRACKS, _TRACK, _NUMBER, _TYPE, _IS_DEFAULT, _IS_VIDEO = 0x1654AE6B, 0xAE, 0xD7, 0x83, 0x88, 1
@@ -76,10 +76,11 @@ class Stated(NamedTuple):
     others.
     `orientation` is that of an MP4's video. `n_videos` counts the video streams of an MP4 or
     Matroska file, and `is_default` says whether the first video stream is the default. `end_s` is
-    the duration in seconds that an MP4's edit list leaves visible. `has_length` says whether FFmpeg
-    reports the number of frames or the length of the video stream, not of the longest stream.
-    `track` is the number of a Matroska file's first video track. `colours` are the tags in the
-    headers of an MP4 or Matroska file; those of the video stream itself take precedence.
+    the duration in seconds that an MP4's edit list leaves visible, and `held_s` that of its last
+    frame, 0 if unknown. `has_length` says whether FFmpeg reports the number of frames or the length
+    of the video stream, not of the longest stream.
+    `track` is the number of the first video track of an MP4 or Matroska file. `colours` are the
+    tags in the headers of such a file; those of the video stream itself take precedence.
     """
 
     kind: str = ""
@@ -87,6 +88,7 @@ class Stated(NamedTuple):
     n_videos: int = 1
     is_default: bool = True
     end_s: float = math.inf
+    held_s: float = 0.0
     has_length: bool = False
     track: int = 0
     colours: Colours = Colours()
@@ -104,7 +106,7 @@ class Stated(NamedTuple):
 
 def stated_by(path: Path) -> Stated:
     """The facts a video file states; all defaults if it is damaged or of another kind."""
-    with suppress(OSError, *_DAMAGE):
+    with suppress(OSError, *DAMAGE):
         whole = mapped(path)
         start = whole[:256]
         if start.startswith(EBML.to_bytes(4, "big")):
@@ -127,6 +129,21 @@ def stated_by(path: Path) -> Stated:
     return Stated()
 
 
+class Structure(NamedTuple):
+    """What was found by reading the parts of a file from its first byte to its last.
+
+    `n_frames` is the number of frames, 0 if unknown. `n_faults` counts damaged places, `is_cut`
+    says whether the last part is cut off, and `n_joined` is the number of recordings. The first
+    fragment of an MP4 has the number `first`.
+    """
+
+    n_frames: int = 0
+    n_faults: int = 0
+    is_cut: bool = False
+    n_joined: int = 1
+    first: int = 1
+
+
 def mapped(path: Path) -> mmap.mmap:
     """The bytes of a file, mapped into memory; raises OSError, ValueError for an empty file."""
     with path.open("rb") as file:
@@ -135,9 +152,7 @@ def mapped(path: Path) -> mmap.mmap:
 
 def _by_mp4(whole: memoryview) -> Stated:
     movie = next(boxes([whole], b"moov"))
-    header = next(boxes([movie], b"mvhd"))
-    # The two times before the scale have 8 bytes each in version 1 of the header, else 4.
-    (scale,) = struct.unpack_from(">I", header, 20 if header[0] == 1 else 12)
+    scale = after_times(next(boxes([movie], b"mvhd")))
     every = list(boxes([movie], b"trak"))
     handlers = [next(boxes(boxes([track], b"mdia"), b"hdlr")) for track in every]
     videos = [
@@ -148,20 +163,24 @@ def _by_mp4(whole: memoryview) -> Stated:
     a, b, _, c, d = struct.unpack_from(">5i", headers[0], 52 if headers[0][0] == 1 else 40)
     edits = next(boxes(boxes([videos[0]], b"edts"), b"elst"), memoryview(bytes(8)))
     parts = struct.iter_unpack(">Qqi" if edits[0] == 1 else ">Iii", edits[8:])
+    media = next(boxes(videos, b"mdia"))
+    tables = next(boxes(boxes([media], b"minf"), b"stbl"))
+    durations, ticks = next(boxes([tables], b"stts")), after_times(next(boxes([media], b"mdhd")))
     return Stated(
         "mp4",
         Orientation.of_matrix(a, b, c, d),
         len(videos),
         flags == sorted(flags, reverse=True),
-        sum(ticks for ticks, at, _ in parts if at >= 0) / scale or math.inf,
+        sum(part for part, at, _ in parts if at >= 0) / scale or math.inf,
         has_length=len(every) == 1 or not any(boxes([movie], b"mvex")),  # not in fragments
-        colours=_colours_of_mp4(videos[0]),
+        held_s=number_at(durations, len(durations) - 4) / ticks,
+        track=after_times(headers[0]),
+        colours=_colours_of_mp4(tables),
     )
 
 
-def _colours_of_mp4(track: memoryview) -> Colours:
-    tables = boxes(boxes(boxes([track], b"mdia"), b"minf"), b"stbl")
-    for formats in boxes(tables, b"stsd"):
+def _colours_of_mp4(tables: memoryview) -> Colours:
+    for formats in boxes([tables], b"stsd"):
         # The boxes of the first format begin after the table's 8 bytes and the format's 86.
         for tags in boxes([formats[94:]], b"colr"):
             if bytes(tags[:3]) == b"ncl":  # nclx, or QuickTime's nclc; others are ICC profiles
@@ -173,15 +192,34 @@ def boxes(inside: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
     """The contents of the boxes of one kind inside other MP4 boxes; ends at damage."""
     for data in inside:
         at = 0
-        while at + 16 <= len(data):
-            size, name, long_size = struct.unpack_from(">I4sQ", data, at)
-            head = 16 if size == 1 else 8
-            size = {0: len(data) - at, 1: long_size}.get(size, size)
-            if size < head:
+        while at < len(data):
+            name, start, end = box(data, at)
+            if end < start:
                 break
             if name == kind:
-                yield data[at + head : at + size]
-            at += size
+                yield data[start:end]
+            at = end
+
+
+def box(data: mmap.mmap | memoryview, at: int) -> tuple[bytes, int, int]:
+    """An MP4 box at byte `at`: its kind, and the first and the end byte of its content."""
+    size, start = number_at(data, at), at + 8
+    if size == 1:
+        size, start = int.from_bytes(data[start : start + 8], "big"), start + 8
+    return bytes(data[at + 4 : at + 8]), start, at + size if size else len(data)
+
+
+def after_times(header: memoryview) -> int:
+    """The number after the two times of an MP4's header: ticks a second, or a track's number.
+
+    The times have 8 bytes each in version 1 of the header, else 4.
+    """
+    return number_at(header, 20 if header[0] == 1 else 12)
+
+
+def number_at(data: mmap.mmap | memoryview, at: int) -> int:
+    """The number of 4 bytes in an MP4 box."""
+    return int.from_bytes(data[at : at + 4], "big")
 
 
 def element(data: mmap.mmap | bytes, at: int) -> tuple[int, int, int]:
@@ -215,7 +253,7 @@ def _number(parts: dict[int, bytes], name: int, default: int = 0) -> int:
 
 def _by_matroska(data: mmap.mmap) -> Stated:
     tracks: list[dict[int, bytes]] = []
-    with suppress(*_DAMAGE):
+    with suppress(*DAMAGE):
         _, at, _ = element(data, element(data, 0)[2])
         for name, start, end in _elements(data, at, len(data)):
             if name == CLUSTER:
@@ -226,7 +264,7 @@ def _by_matroska(data: mmap.mmap) -> Stated:
     videos = [track for track in tracks if _number(track, _TYPE) == _IS_VIDEO]
     flags = [_number(track, _IS_DEFAULT, 1) for track in videos]
     tags: dict[int, bytes] = {}
-    with suppress(*_DAMAGE):
+    with suppress(*DAMAGE):
         tags = _parts(_parts(videos[0][_PICTURE])[_COLOURS])
     return Stated(
         "mkv",

@@ -23,7 +23,7 @@ from dlgmd_cli.stream.continuity import Continuity
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
 from dlgmd_cli.video.content import BlindSpans
-from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
+from dlgmd_cli.video.damage import PAUSE, Loss, lost_frames, missing_frames
 from dlgmd_cli.video.given_times import GivenTimes
 from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
 from dlgmd_cli.video.pyav_decoder import import_av
@@ -204,8 +204,7 @@ class Video:
         continuity = Continuity(skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden)
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
-        n_short: int | None = None
-        fault, is_ended = "", False
+        loss, fault, is_ended = Loss(), "", False
         # OpenCV's errors may be packets without an image, which the stated rate may count.
         step_s = 0.0 if decoder.kind == "pyav" else math.inf
         holes, is_broken = Holes(), False
@@ -249,30 +248,27 @@ class Video:
                 is_broken = False
         else:
             is_ended = True
-            fault, n_short = self._lost_frames(file_times)
-            fault = holes.report() or fault
+            loss = self._lost_frames(file_times)
+            fault = holes.report() or loss.fault
             n_frames = len(times) + holes.n_frames
             self._given_report = given.report(n_frames) if given else ""
-        self._report(fault, times, spans, clock, n_short)
+        self._report(fault, loss, times, spans, clock)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
     def _report(
         self,
         fault: str,
+        loss: Loss,
         times: "array[float]",
         spans: BlindSpans,
         clock: FrameClock,
-        n_short: int | None,
     ) -> None:
-        """Report what was noticed while reading; a `fault`, if any, is damage of the file.
-
-        `n_short` is the argument of `missing_frames`.
-        """
+        """Report what was noticed while reading; a `fault`, if any, is damage of the file."""
         progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
-        missing = "" if decoder.is_damaged and fault else missing_frames(times, rates, n_short)
-        ending = fault and self._ending(fault)
+        missing = "" if decoder.is_damaged and fault else missing_frames(times, rates, loss.n_short)
+        ending = fault and self._ending(fault, loss.n_short)
         blind, progress.n_equal = spans.report(), spans.n_equal
         if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
@@ -280,9 +276,9 @@ class Video:
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated and not self._given else None
         repetition = self._repetition(spans)
-        reports = stamps, self._given_report, missing, repetition, blind, ending, light
+        lines = stamps, self._given_report, loss.remark, missing, repetition, blind, ending, light
         # An input that is read again reports each line once.
-        progress.warnings += [line for line in reports if line and line not in progress.warnings]
+        progress.warnings += [line for line in lines if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
         progress.damage = [line for line in ("" if is_pause else missing, ending) if line]
 
@@ -344,16 +340,17 @@ class Video:
         why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
-    def _lost_frames(self, times: Sequence[float]) -> tuple[str, int | None]:
-        """The frames that a whole input has lost, see `lost_frames`."""
+    def _lost_frames(self, times: Sequence[float]) -> Loss:
+        """What a whole input has lost, see `lost_frames`."""
         path, is_damaged = Path(self.info.path), self._decoder.is_damaged
         if self._decoder.kind in DECODERS and path.is_file() and len(times):
             info = replace(self.info, fps=self._file_fps)
             return lost_frames(path, info, times, is_damaged=is_damaged)
-        return "the file is cut off or damaged" if is_damaged else "", None
+        return Loss("the file is cut off or damaged" if is_damaged else "")
 
-    def _ending(self, fault: str) -> str:
-        n_frames, stated = self.progress.n_decoded, self.info.n_frames
+    def _ending(self, fault: str, n_short: int | None) -> str:
+        n_frames = self.progress.n_decoded
+        stated = n_frames + n_short if n_short else self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"

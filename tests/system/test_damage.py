@@ -175,7 +175,7 @@ def test_most_losses_are_told(tmp_path, capsys):
             print(f"| {container} | {' | '.join(numbers)} |")
     assert sum(n_lost.values()) > 100
     for key, n_of_key in n_lost.items():
-        assert n_told[key] >= LEAST[key[0]] * n_of_key, key
+        assert n_told[key] >= LEAST[key[0]] * n_of_key, (key, silent)
 
 
 @pytest.mark.parametrize("name", ["x.y4m", "x.apng"])

@@ -224,6 +224,17 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
     assert read_result("ba/set9/near").params.kappa == 1e-4
 
 
+def test_results_with_other_camera_angles_than_the_labels_are_told(dlgmd, runs, footage):
+    runs("batch", footage, "--fov", 60, "--jobs", 1, "--out", "ba")
+    lines = "near.avi,20,60,\ntwice.avi,52,,10\nstill.avi,,90,0\n"
+    (footage / "angles.csv").write_text(f"video,collision_frame,fov,camera_tilt\n{lines}")
+    common = "--results", "ba", "--no-baselines", "--format=none"
+    told = dlgmd("evaluate", footage / "angles.csv", *common, "--out", "ev").stderr
+    assert "results of 2 videos were made with other camera angles" in told
+    assert "twice.avi: camera_tilt 0 instead of 10;" in told
+    assert "angles" not in dlgmd("evaluate", footage / "labels.csv", *common, "--out", "no").stderr
+
+
 def test_options_that_a_config_sets_are_recorded(runs, footage):
     runs("run", footage / "near.avi", "--scale", 0.5, "--end", 0.5)
     (footage / "one.csv").write_text("video,collision_frame\nnear.avi,10\n")

@@ -167,6 +167,21 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
 
 
+def test_a_repeated_run_tells_of_other_content(dlgmd, runs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = np.stack(looming_frames())
+    np.save("x.npy", frames)
+    runs("run", "x.npy", "--set", 9, "--out", "one")
+    repeated = "--config", "one/x/run.yaml", "--out", "two", "--overwrite"
+    assert "content" not in dlgmd("run", "x.npy", *repeated).stderr
+    np.save("x.npy", frames[::-1])
+    np.save("y.npy", frames[::-1])
+    told = "x is not the file of one/x/run.yaml: its content differs (SHA-256)"
+    assert told in dlgmd("run", "x.npy", *repeated).stderr
+    assert told in yaml_of("two/x/run.yaml")["warnings"]
+    assert "content" not in dlgmd("run", "y.npy", *repeated).stderr
+
+
 def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, monkeypatch):
     """What is asked for is done; an array has no file."""
 
@@ -180,7 +195,7 @@ def test_local_files_are_hashed_unless_they_are_large_or_raw(clips, tmp_path, mo
     assert [is_hashed(video, hashed) for hashed in (None, True, False)] == [True, True, False]
     frames = np.stack(looming_frames())
     np.save("array.npy", frames)
-    assert [is_hashed("array.npy"), is_hashed("array.npy", True)] == [False, True]
+    assert [is_hashed("array.npy"), is_hashed("array.npy", False)] == [True, False]
     assert not is_hashed(frames)
     write_video("raw.avi", looming_frames(), fourcc="I420")
     monkeypatch.setattr("dlgmd_cli.tasks.describing.HASHED_BYTES", video.stat().st_size - 1)

@@ -323,6 +323,7 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
         why = f"it holds no results of a batch (no {SUMMARY})"
         raise ResultError(str(folder), why, "Run 'dlgmd batch' first.")
     label, stored = "", {place.name: StoredResults(place) for place in places}
+    others = {}
     for case in cases:
         try:
             results = {
@@ -338,4 +339,22 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
             name = f"set{record['set']}" if "set" in record else record.get("preset")
             label = label or str(name or record["model"])
             results = {label: result}
+        if other := next(filter(None, (_other_angles(case, one) for one in results.values())), ""):
+            others[case.name] = other
         yield case, results
+    for name, other in [*others.items()][:1]:
+        what = f"the results of {counted(len(others), 'video')} were made with other camera angles"
+        warn(f"{what} than the labels have, such as {name}: {other}; run 'dlgmd batch' with them")
+
+
+def _other_angles(case: Case, result: Result) -> str:
+    """The camera angles of a stored result that are not those of the labels; empty for none."""
+    if not result.rule.uses_expansion:
+        return ""
+    wanted = {name: getattr(case.labels[0], name) for name in ANGLES}
+    camera = {**wanted, **result.record.get("camera", {})}
+    return ", ".join(
+        f"{name} {camera[name]:g} instead of {angle:g}"
+        for name, angle in wanted.items()
+        if angle is not None and camera[name] != angle
+    )
