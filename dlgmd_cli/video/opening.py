@@ -160,8 +160,9 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    if repeats is not None:
-        SPECS["repeats"].check(repeats, "repeats")
+    for name, value in {"repeats": repeats, "input_fps": input_fps}.items():
+        if value is not None:
+            SPECS[name].check(value, argument(name))
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
@@ -174,6 +175,7 @@ def open_video(
         most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
+        info = replace(info, start=given.start if given else info.start)
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
         region.hidden(size)  # raises if nothing is left

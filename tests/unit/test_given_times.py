@@ -8,7 +8,6 @@ from conftest import FPS, csv_rows, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.video.given_times import read_times
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.timestamps import FrameClock
 
@@ -94,7 +93,10 @@ def test_a_batch_and_an_evaluation_take_the_table_beside_a_video(dlgmd, clips, t
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("time_s\n0\n1\n0.5\n\n", "the time of frame 2, 0.5 s, is not after the one before"),
+        (
+            "time_s\n0\n1\n0.5\n\n",
+            "line 4, column time_s: frame 2 is at 0.5, not after the one before, 1",
+        ),
         ("time_s\n0\n1\n\n2\n", "frame 2 has no time"),
         ("0\n1\n2\n", "is not a table with a column of times"),
         ("frame,time_s\n0,0\n1,\n2,1\n", "frame 1 has no time"),
@@ -133,11 +135,3 @@ def test_a_cut_file_is_still_found(tmp_path):
         n_frames = len(list(video))
     assert n_frames < 40
     assert any("cut off" in line for line in video.progress.damage)
-
-
-def test_times_in_milliseconds_by_the_name(tmp_path):
-    (tmp_path / "x.csv").write_text("frame;time_ms\n0;0\n1;2,5\n")
-    np.testing.assert_allclose(read_times(tmp_path / "x.csv"), [0.0, 0.0025])
-    assert read_times(table(tmp_path / "x.csv", [0, 2, 4], "msec"))[-1] == pytest.approx(0.004)
-    (tmp_path / "x.csv").write_text("Frame Number,Time Stamp (ms),Buffer Index\n0,26,0\n1,59,0\n")
-    np.testing.assert_allclose(read_times(tmp_path / "x.csv"), [0.026, 0.059])
