@@ -14,7 +14,7 @@ from dlgmd_cli.errors import MissingExtraError, ResultError
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters.facts import SCHEMA
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.csv import cell
+from dlgmd_cli.results.csv import cell, cells
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
 NAN = math.nan
@@ -281,6 +281,12 @@ def test_numbers_read_back_as_float32():
     assert (cell(NAN), cell(-math.inf), cell(-12.5)) == ("", "-inf", "-12.5")
 
 
+def test_two_frames_have_two_times_after_hours():
+    times_s = [0.04, 999.9998, 36000.0, 36000.0002, NAN]
+    texts = [cells(("time_s",), (time_s,))[0] for time_s in times_s]
+    assert texts == ["0.04", "999.9998", "36000", "36000.0002", ""]
+
+
 def test_labels(tmp_path):
     labels = [Label("a.mp4", 12, "wall"), Label("b/c.mp4"), Label("-d.mp4", 0)]
     labels.append(Label("a.mp4", 40, "", "real", "walk"))
@@ -299,7 +305,7 @@ def test_labels(tmp_path):
             read_labels(tmp_path / "labels.csv")
     for line in ("a.mp4,soon", "a.mp4", "a.mp4,-1", "a.mp4,1.5", "a.mp4," + "9" * 5000, ",2"):
         (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{line}\n")
-        with pytest.raises(ResultError, match="line 2.* is not a (label|frame)"):
+        with pytest.raises(ResultError, match=r"line 2.* is not a (label|frame)"):
             read_labels(tmp_path / "labels.csv")
 
 
@@ -308,11 +314,11 @@ def test_labels(tmp_path):
     [
         (
             'a.mp4,"1,000"',
-            "line 2, column collision_frame: '1,000' may be a thousand times 1. Write 1000 or 1.",
+            "frame: '1,000' may be a thousand times 1. Write 1000 or 1.",
         ),
         (
             "a.mp4,12.000",
-            "line 2, column collision_frame: '12.000' may be a thousand times 12. Write 12000 or 12.",
+            "frame: '12.000' may be a thousand times 12. Write 12000 or 12.",
         ),
         ("a.mp4,1,000", "line 2 has 3 cells, the first line 2"),
         ('a.mp4,3\nb.mp4,5,"wall\nc.mp4,7,ball', "the row in line 3 cannot be read"),
