@@ -117,8 +117,9 @@ def open_video(
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        True frame rate, also of a video that states another, such as the rate of its playback. 30
-        unless given for images, arrays, and bare H.264 or H.265, whose own rate is often wrong.
+        True frame rate, up to 5,000, also of a video that states another, such as the rate of its
+        playback. 30 unless given for images, arrays, and bare H.264 or H.265, whose own rate is
+        often wrong.
     times : path, optional
         A table with the time of each frame, see `read_times`, in place of all other times.
     bit_depth : int, optional
