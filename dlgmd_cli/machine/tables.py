@@ -5,11 +5,12 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date
 from decimal import Decimal, InvalidOperation
 from io import StringIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -93,6 +94,13 @@ def listed(names: Sequence[str]) -> str:
     return printable(", ".join(names[:_MOST_NAMED]) + (", …" if names[_MOST_NAMED:] else ""))
 
 
+class Row(NamedTuple):
+    """A row: its line in the file, and its cells, which may be fewer than the columns."""
+
+    line: int
+    cells: list[str]
+
+
 @dataclass(frozen=True)
 class TextTable:
     """A table as it was read.
@@ -103,10 +111,8 @@ class TextTable:
         The file.
     names, units : list of str
         The header, empty where there is none, and the cells of a row of units below.
-    rows : list of list of str
-        The cells of each row, fewer than `names` where the row ends early; none for an empty row.
-    lines : list of int
-        The line of each row in the file.
+    rows : list of Row
+        The rows; an empty row has no cells.
     remark : str
         The comments before the table.
     form : str
@@ -118,8 +124,7 @@ class TextTable:
     path: Path
     names: list[str]
     units: list[str]
-    rows: list[list[str]]
-    lines: list[int]
+    rows: list[Row]
     remark: str
     form: str
     fault: type[DlgmdError]
@@ -142,7 +147,8 @@ class TextTable:
     def texts(self, name: str) -> list[str]:
         """The cells of a column, without surrounding spaces; empty if it is missing."""
         at = self.place(name)
-        return [row[at].strip() if at is not None and at < len(row) else "" for row in self.rows]
+        every = (cells for _, cells in self.rows)
+        return [cells[at].strip() if at is not None and at < len(cells) else "" for cells in every]
 
     def numbers(self, name: str) -> npt.NDArray[np.float64]:
         """The numbers of a column, (n,); NaN for empty cells. Raises an error for other text."""
@@ -163,33 +169,31 @@ class TextTable:
         is_decimal = any("," in cell and not _GROUPED.fullmatch(cell) for cell in cells)
         is_open = not is_decimal and "commas" in self.form
         for row, cell in enumerate(cells):
-            found = None if cell.lower() in EMPTY else number(cell)
-            if found is None and cell.lower() not in EMPTY:
-                found = clock(cell) if clocks else None
-                if found is None:
-                    times = ", or a time as 00:01:12.5" if clocks else ""
-                    raise self.at(row, name, f"{cell[:40]!r} is no number", f"Write 12.5{times}.")
-            elif is_open and _ONE_GROUP.fullmatch(cell):
+            if cell.lower() in EMPTY:
+                read.append(None)
+                continue
+            found = number(cell)
+            if found is None and clocks:
+                found = clock(cell)
+            if found is None:
+                times = ", or a time as 00:01:12.5" if clocks else ""
+                raise self.at(row, name, f"{cell[:40]!r} is no number", f"Write 12.5{times}.")
+            if is_open and _ONE_GROUP.fullmatch(cell):
                 raise self.at(row, name, *thousands(cell))
             read.append(found)
         return read
 
-    def chosen(self, rows: Sequence[int]) -> "TextTable":
-        """The table with some of its rows."""
-        kept, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
-        return replace(self, rows=kept, lines=lines)
-
     def at(self, row: int, name: str, why: str, hint: str = "") -> DlgmdError:
-        """The error about a cell."""
-        where = f"line {self.lines[row]}" + (f", column {name}" if name else "")
+        """The error about a cell, or about a row if `name` is empty."""
+        where = f"line {self.rows[row].line}" + (f", column {name}" if name else "")
         return self.fault(str(self.path), f"{where}: {printable(why)}", hint)
 
 
 def thousands(cell: str) -> tuple[str, str]:
     """Why ``1,234`` may be read in two ways, and what to write."""
     whole, part = re.split("[.,]", cell)
-    why = f"{cell!r} may be a thousand times {whole}.{part}".rstrip("0").rstrip(".")
-    return why, f"Write {whole}{part} or {f'{whole}.{part}'.rstrip('0').rstrip('.')}."
+    small = f"{whole}.{part}".rstrip("0").rstrip(".")
+    return f"{cell!r} may be a thousand times {small}", f"Write {whole}{part} or {small}."
 
 
 def read_table(
@@ -217,27 +221,31 @@ def read_table(
     mark = sep[1] if sep else _delimiter(head if head and start[:1].isdigit() else start)
     form = f"separated by {_DELIMITERS.get(mark, repr(mark))}" if mark != _NONE else "in one column"
     rows = [*_rows(path, lines, first, mark, fault)]
-    while rows and not any(map(str.strip, rows[-1][1])):
+    while rows and not any(map(str.strip, rows[-1].cells)):
         rows.pop()
-    names: list[str] = rows[0][1] if rows else []
-    if any(_is_value(cell) for cell in names):
-        told = next(csv.reader([head], delimiter=mark, skipinitialspace=True), [])
-        names = told if len(told) == len(names) else [""] * len(names)
-    else:
-        rows = rows[1:]
-    names = [name.strip() for name in names]
-    width = max((at for at, name in enumerate(names, 1) if name), default=len(names))
-    names, units = names[:width], list[str]()
-    if rows and _are_units(rows[0][1]):
-        units, rows = [cell.strip() for cell in rows[0][1]], rows[1:]
-    for number_of_line, row in rows:
-        if any(map(str.strip, row[width:])):
-            why = f"line {number_of_line} has {counted(len(row), 'cell')}, the first line {width}"
+    names = _header(rows, next(csv.reader([head], delimiter=mark, skipinitialspace=True), []))
+    units = rows.pop(0).cells if rows and _are_units(rows[0].cells) else []
+    for line, cells in rows:
+        if any(map(str.strip, cells[len(names) :])):
+            why = f"line {line} has {counted(len(cells), 'cell')}, the first line {len(names)}"
             hint = "Write a cell that contains a separator in quotes, and 0.5 for 0,5."
             raise fault(str(path), why, hint)
-        del row[width:]
-    every = [row for _, row in rows], [at for at, _ in rows]
-    return TextTable(path, names, units, *every, " ".join(remarks), f"{encoding}, {form}", fault)
+        del cells[len(names) :]
+    return TextTable(path, names, units, rows, " ".join(remarks), f"{encoding}, {form}", fault)
+
+
+def _header(rows: list[Row], comment: list[str]) -> list[str]:
+    """The names of the columns, taken from the rows; those in the `comment` if rows begin at once.
+
+    Without a header, names are empty. Cells without a name at the end of a header are left out.
+    """
+    names = rows[0].cells if rows else []
+    if any(_is_value(cell) for cell in names):
+        names = comment if len(comment) == len(names) else [""] * len(names)
+    elif rows:
+        del rows[0]
+    n_named = max((at for at, name in enumerate(names, 1) if name.strip()), default=len(names))
+    return [name.strip() for name in names[:n_named]]
 
 
 def _lines(
@@ -260,17 +268,15 @@ def _lines(
 
 def _decoded(data: bytes) -> tuple[str, str]:
     """The encoding and the text; raises ValueError if the data are not text."""
-    even, odd = data[:4000:2], data[1:4000:2]
-    name = "UTF-8"
-    if data.startswith(codecs.BOM_UTF16_LE) or 2 * odd.count(0) > len(odd):
-        name, text = "UTF-16", data.decode("utf-16-le")
-    elif data.startswith(codecs.BOM_UTF16_BE) or 2 * even.count(0) > len(even):
-        name, text = "UTF-16", data.decode("utf-16-be")
-    else:
-        try:
-            text = data.decode("utf-8")
-        except UnicodeDecodeError:
-            name, text = "cp1252", data.decode("cp1252")
+    name, codec = "UTF-8", "utf-8"
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        name, codec = "UTF-16", "utf-16"
+    elif data[:2].count(0) == 1:  # without a byte order mark, before a Latin letter
+        name, codec = "UTF-16", "utf-16-le" if data[0] else "utf-16-be"
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError:
+        name, text = "cp1252", data.decode("cp1252")
     if "\0" in text:
         raise ValueError("no text")
     return name, text.lstrip("\ufeff")
@@ -287,18 +293,18 @@ def _delimiter(line: str) -> str:
 
 def _rows(
     path: Path, lines: list[str], first: int, mark: str, fault: type[DlgmdError]
-) -> Iterator[tuple[int, list[str]]]:
-    """The number of the line and the cells of each row from line `first` on, without comments."""
-    comments = {at for at, line in enumerate(lines[first + 1 :], 2) if _COMMENT_BELOW.match(line)}
-    kept = ("\n" if at in comments else line for at, line in enumerate(lines[first:], 1))
-    reader, read = csv.reader(kept, delimiter=mark, strict=True, skipinitialspace=True), 0
+) -> Iterator[Row]:
+    """The rows from line `first` on, without comments; raises `fault`."""
+    comments = {at for at, line in enumerate(lines) if at > first and _COMMENT_BELOW.match(line)}
+    kept = ("\n" if at in comments else lines[at] for at in range(first, len(lines)))
+    reader, at = csv.reader(kept, delimiter=mark, strict=True, skipinitialspace=True), first
     try:
-        for row in reader:
-            at, read = read + 1, reader.line_num
+        for cells in reader:
             if at not in comments:
-                yield first + at, row
+                yield Row(at + 1, cells)
+            at = first + reader.line_num
     except csv.Error as error:
-        why = f"the row in line {first + read + 1} cannot be read ({error})"
+        why = f"the row in line {at + 1} cannot be read ({error})"
         raise fault(str(path), why, "Check its quotes.") from None
 
 
@@ -309,7 +315,6 @@ def _is_value(cell: str) -> bool:
 
 def _are_units(row: list[str]) -> bool:
     """Whether a row has units alone, more than the first one of several columns."""
-    cells = [cell.strip() for cell in row]
-    filled = [at for at, cell in enumerate(cells) if cell]
-    is_enough = len(filled) > 1 or len(cells) == 1 or filled[:1] > [0]
-    return bool(filled) and is_enough and all(_UNIT.fullmatch(cells[at]) for at in filled)
+    filled = [at for at, cell in enumerate(row) if cell.strip()]
+    is_enough = len(filled) > 1 or filled[:1] > [0] or (bool(filled) and len(row) == 1)
+    return is_enough and all(_UNIT.fullmatch(row[at].strip()) for at in filled)

@@ -9,6 +9,7 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
-from dlgmd_cli.machine.tables import TextTable, read_table
+from dlgmd_cli.machine.tables import Row, TextTable, read_table
 from dlgmd_cli.models import detection
 from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column, columns_of
 from dlgmd_cli.models.detection import AlarmSpan, Detection
@@ -158,10 +159,10 @@ def read_columns(path: Path, header: tuple[str, ...], *, complete: bool = True) 
 def read_comparison_columns(path: Path) -> dict[str, Columns]:
     """Label -> columns of a compare.csv, in the file's order of labels; raises ResultError."""
     table = _read(path, COMPARISON)
-    by_label: dict[str, list[int]] = {}
-    for at, row in enumerate(table.rows):
-        by_label.setdefault(row[0], []).append(at)
-    return {label: _checked(table.chosen(rows)) for label, rows in by_label.items()}
+    by_label: dict[str, list[Row]] = {}
+    for row in table.rows:
+        by_label.setdefault(row.cells[0], []).append(row)
+    return {label: _checked(replace(table, rows=rows)) for label, rows in by_label.items()}
 
 
 def contact_beside(path: str) -> float | None:
@@ -182,9 +183,9 @@ def _read(path: Path, header: tuple[str, ...], *, complete: bool = True) -> Text
     is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == [*header[:1]]
     if not is_whole or len(set(names)) < len(names):
         raise ResultError(str(path), f"its columns are not {','.join(header)}", _run_again())
-    if not complete and rows and len(rows[-1]) < len(names):
+    if not complete and rows and len(rows[-1].cells) < len(names):
         del rows[-1]
-    for row, cells in enumerate(rows):
+    for row, (_, cells) in enumerate(rows):
         if len(cells) != len(names):
             raise table.at(row, "", f"it does not have {len(names)} cells", _run_again())
     return table

@@ -111,7 +111,7 @@ def read_labels(path: Path) -> list[Label]:
     numbers = {name: table.decimals(name) for name in _NUMBERS}
     return [
         _label(table, row, {name: cells[row] for name, cells in columns.items()}, numbers)
-        for row, cells in enumerate(table.rows)
+        for row, (_, cells) in enumerate(table.rows)
         if any(map(str.strip, cells))
     ]
 
@@ -197,7 +197,7 @@ def _label(
     numbers: Mapping[str, Sequence[Decimal | None]],
 ) -> Label:
     """The label in a row of a table, by the name of each column; raises ResultError."""
-    if not cells["video"] or len(table.rows[row]) <= (table.place("collision_frame") or 0):
+    if not cells["video"] or len(table.rows[row].cells) <= (table.place("collision_frame") or 0):
         raise table.at(row, "", "this is not a label", _FRAME_HINT)
     collision, start = (_frame(table, row, name, cells[name]) for name in _FRAMES)
     if collision is not None and start is not None and start > collision:

@@ -99,6 +99,7 @@ def test_a_batch_and_an_evaluation_take_the_table_beside_a_video(dlgmd, clips, t
             "line 4, column time_s: frame 2 is at 0.5, not after the one before, 1",
         ),
         ("time_s\n0\n1\n\n2\n", "frame 2 has no time"),
+        ("time_s\n \n0\n1\n", "frame 0 has no time"),
         ("0\n1\n2\n", "is not a table with a column of times"),
         ("frame,time_s\n0,0\n1,\n2,1\n", "frame 1 has no time"),
         ("frame,time_s\n0,0\n1\n2,1\n", "frame 1 has no time"),

@@ -114,4 +114,4 @@ def test_a_comma_is_one_mark_in_a_column(tmp_path):
 
 def test_a_video_may_begin_with_a_comment_mark(tmp_path):
     table = read(tmp_path, "video,collision_frame\n#1.mp4,3\n# out: b.mp4,4\nm,\n")
-    assert table.texts("video") == ["#1.mp4", "m"] and table.lines == [2, 4]
+    assert table.texts("video") == ["#1.mp4", "m"] and [row.line for row in table.rows] == [2, 4]
