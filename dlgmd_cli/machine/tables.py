@@ -150,13 +150,13 @@ class TextTable:
         every = (cells for _, cells in self.rows)
         return [cells[at].strip() if at is not None and at < len(cells) else "" for cells in every]
 
-    def numbers(self, name: str) -> npt.NDArray[np.float64]:
-        """The numbers of a column, (n,); NaN for empty cells. Raises an error for other text."""
+    def numbers(self, name: str, *, clocks: bool = False) -> npt.NDArray[np.float64]:
+        """The numbers of a column, (n,), NaN for empty cells, see `decimals`."""
         cells = self.texts(name)
         try:
             return np.array([float(cell or "nan") for cell in cells])
         except ValueError:
-            read = self.decimals(name)
+            read = self.decimals(name, clocks=clocks)
         return np.array([math.nan if one is None else float(one) for one in read])
 
     def decimals(self, name: str, *, clocks: bool = False) -> list[Decimal | None]:

@@ -48,7 +48,7 @@ class Companion(NamedTuple):
     @classmethod
     def of(cls, table: TextTable) -> "Companion":
         """The columns `frame` and `time_s`; NaN where a time is missing."""
-        return cls(table.numbers("frame"), table.numbers("time_s"))
+        return cls(table.numbers("frame"), table.numbers("time_s", clocks=True))
 
     def misfit(
         self,

@@ -170,7 +170,7 @@ def test_what_a_table_of_headings_says(tmp_path):
     path.write_text(f"{head}0,0,5\n7,0,5\n8,0,5\n999,0,5\n")
     with pytest.warns(DlgmdWarning, match="h.csv has 2 rows more than the video has frames"):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
-    path.write_text("frame,time_s,right_deg,up_deg\n0,50.0,0,5\n7,50.7,0,5\n")
+    path.write_text("frame,time_s,right_deg,up_deg\n0,1:02:03,0,5\n7,1:02:03.7,0,5\n")
     with pytest.warns(DlgmdWarning, match="h.csv has frame 7 at 0.700 s, the video at 0.233 s"):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
 
