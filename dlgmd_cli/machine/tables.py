@@ -146,15 +146,18 @@ class TextTable:
 
     def texts(self, name: str) -> list[str]:
         """The cells of a column, without surrounding spaces; empty if it is missing."""
+        return [*map(str.strip, self._cells(name))]
+
+    def _cells(self, name: str) -> list[str]:
         at = self.place(name)
-        every = (cells for _, cells in self.rows)
-        return [cells[at].strip() if at is not None and at < len(cells) else "" for cells in every]
+        if at is None:
+            return [""] * len(self.rows)
+        return [cells[at] if at < len(cells) else "" for _, cells in self.rows]
 
     def numbers(self, name: str, *, clocks: bool = False) -> npt.NDArray[np.float64]:
         """The numbers of a column, (n,), NaN for empty cells, see `decimals`."""
-        cells = self.texts(name)
         try:
-            return np.array([float(cell or "nan") for cell in cells])
+            return np.array([float(cell or "nan") for cell in self._cells(name)])
         except ValueError:
             read = self.decimals(name, clocks=clocks)
         return np.array([math.nan if one is None else float(one) for one in read])
