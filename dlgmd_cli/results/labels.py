@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path, PurePath
 
@@ -103,17 +103,20 @@ def read_labels(path: Path) -> list[Label]:
     table = read_table(path, ResultError)
     table.require(*_NEEDED, what="labels")
     known = {table.place(name) for name in _COLUMNS}
-    further = [name for at, name in enumerate(table.names) if name and at not in known]
+    further = {at: name for at, name in enumerate(table.names) if name and at not in known}
     if further or table.form != PLAIN:
-        kept = f"; further columns: {listed(further)}" if further else ""
+        kept = f"; further columns: {listed([*further.values()])}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, table.form, kept)
-    columns = {name: table.texts(name) for name in (*_COLUMNS, *further)}
+    columns = {name: table.texts(name) for name in _COLUMNS}
     numbers = {name: table.decimals(name) for name in _NUMBERS}
-    return [
-        _label(table, row, {name: cells[row] for name, cells in columns.items()}, numbers)
-        for row, (_, cells) in enumerate(table.rows)
-        if any(map(str.strip, cells))
-    ]
+    labels = []
+    for row, (_, cells) in enumerate(table.rows):
+        if any(map(str.strip, cells)):
+            known_cells = {name: column[row] for name, column in columns.items()}
+            label = _label(table, row, known_cells, {key: numbers[key][row] for key in numbers})
+            more = ((name, "".join(cells[at : at + 1]).strip()) for at, name in further.items())
+            labels.append(replace(label, further=tuple(more)))
+    return labels
 
 
 def by_path(path: Path) -> ByVideo:
@@ -191,12 +194,9 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 
 
 def _label(
-    table: TextTable,
-    row: int,
-    cells: dict[str, str],
-    numbers: Mapping[str, Sequence[Decimal | None]],
+    table: TextTable, row: int, cells: Mapping[str, str], numbers: Mapping[str, Decimal | None]
 ) -> Label:
-    """The label in a row of a table, by the name of each column; raises ResultError."""
+    """The label in a row of a table, without further columns; raises ResultError."""
     if not cells["video"] or len(table.rows[row].cells) <= (table.place("collision_frame") or 0):
         raise table.at(row, "", "this is not a label", _FRAME_HINT)
     collision, start = (_frame(table, row, name, cells[name]) for name in _FRAMES)
@@ -205,14 +205,13 @@ def _label(
         raise table.at(row, "approach_start", why, "Correct one of them.")
     measured: list[float | None] = []
     for name, spec in _NUMBERS.items():
-        value = numbers[name][row]
         try:
+            value = numbers[name]
             measured.append(None if value is None else spec.check(float(value)))
         except ParameterError as error:
             raise table.at(row, name, error.why, error.hint) from None
     (target, kind, manner), (fov, tilt, speed) = (cells[name] for name in WORDS), measured
-    more = tuple((name, cell) for name, cell in cells.items() if name not in _COLUMNS)
-    return Label(cells["video"], collision, target, kind, manner, more, fov, tilt, speed, start)
+    return Label(cells["video"], collision, target, kind, manner, (), fov, tilt, speed, start)
 
 
 def _frame(table: TextTable, row: int, name: str, cell: str) -> int | None:
