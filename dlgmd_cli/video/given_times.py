@@ -19,15 +19,12 @@ from dlgmd_cli.video.base import MAX_FPS
 from dlgmd_cli.video.timestamps import LEAST_STEP_S, frame_rates, is_unix, start_of
 
 # Names of columns with times; with times of something else; and with what is per time.
-_TIMES = re.compile(r"time|stamp|zeit|(?:^|_)(?:t|pts|clock|elapsed)(?:_|$)")
+_TIMES = re.compile(r"time|stamp|zeit|(?:^|_)(?:t|pts|utc|clock|elapsed)(?:_|$)")
 _NO_TIMES = re.compile(r"contact|exposure|shutter|duration|delta|interval|latency|(?:^|_)dt(?:_|$)")
 _RATE = re.compile(r"(?:^|_)(?:[ck]?m|deg|rad|px|per|1)_")
 # Unit -> seconds, and the words in a column's name that mean it.
 _UNITS = {
-    "ns": (
-        Decimal("1e-9"),
-        r"n(?:s|secs?|anos?|ano_?sec(?:ond)?s?)|(?:sensor_timestamp|wall_clock)$",
-    ),
+    "ns": (Decimal("1e-9"), r"n(?:s|secs?|anos?|ano_?sec(?:ond)?s?)|sensor_timestamp$"),
     "us": (Decimal("1e-6"), r"[uµμ](?:s|secs?)|micros?|micro_?sec(?:ond)?s?"),
     "ms": (Decimal("1e-3"), r"m(?:s|secs?)|millis?|milli_?sec(?:ond)?s?"),
     "s": (Decimal(1), r"s|secs?|seconds?"),
@@ -167,7 +164,7 @@ def read_times(path: str | os.PathLike[str]) -> GivenTimes:
     found = np.array([float((time - times[0]) * scale) for time in times])
     rates = frame_rates(found.tolist())
     assert rates is not None  # there are two times or more
-    start, spare = start_of(times[0] * scale), int("v2" in table.remark)
+    start, spare = start_of(times[0] * scale), int(bool(_FORMAT.search(table.remark)))
     return GivenTimes(rates.mean_fps, 1.0, found, str(path), start, spare)
 
 
@@ -178,13 +175,13 @@ def _column(table: TextTable) -> tuple[str, str]:
             why = f"is in the timecode format {form[1]}, of which only v2 is read"
             hint = "Write a time in ms for each frame, as 'mkvextract FILE timestamps_v2' does."
             raise ParameterError(str(table.path), why, hint)
-        return table.names[0], "ms"
+        return next(iter(table.names), ""), "ms"
     units = dict(zip(table.names, table.units, strict=False))
     known = {name: unit_of(name) or unit_of(units.get(name, "")) for name in table.names}
     named = [name for name in known if _TIMES.search(plain(name))]
     named += [name for name, unit in known.items() if unit and not _RATE.search(plain(name))]
     chosen = [name for name in named if not _NO_TIMES.search(plain(name))]
-    if len(table.names) == 1 and not _counts(table):
+    if not chosen and len(table.names) == 1 and not _counts(table):
         chosen = table.names
     if not chosen:
         columns = f": it has the columns {listed(table.names)} ({table.form})"
@@ -194,8 +191,9 @@ def _column(table: TextTable) -> tuple[str, str]:
 
 
 def _counts(table: TextTable) -> bool:
-    """Whether a column without a name only numbers its rows."""
-    return not any(table.names) and table.texts("") == [*map(str, range(len(table.rows)))]
+    """Whether the only column numbers the rows, from 0 or 1."""
+    cells, numbers = table.texts(table.names[0]), [*map(str, range(len(table.rows) + 1))]
+    return cells in (numbers[:-1], numbers[1:])
 
 
 def unit_of(text: str) -> str:

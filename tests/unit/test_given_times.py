@@ -101,6 +101,8 @@ def test_a_batch_and_an_evaluation_take_the_table_beside_a_video(dlgmd, clips, t
         ("time_s\n0\n1\n\n2\n", "frame 2 has no time"),
         ("time_s\n \n0\n1\n", "frame 0 has no time"),
         ("0\n1\n2\n", "is not a table with a column of times"),
+        ("frame\n1\n2\n", "is not a table with a column of times: it has the columns frame"),
+        ("# timecode format v2\n", "has fewer than two times"),
         ("frame,time_s\n0,0\n1,\n2,1\n", "frame 1 has no time"),
         ("frame,time_s\n0,0\n1\n2,1\n", "frame 1 has no time"),
         ("a,b\n0,0\n", "is not a table with a column of times"),
