@@ -288,7 +288,7 @@ def near_frames(path: Path) -> tuple[tuple[int, ...], Companion]:
     table = read_table(path, ResultError)
     table.require(*_TRUTH, what="the truth of a video")
     frame, distance, closing = map(table.numbers, _TRUTH)
-    for row in np.flatnonzero(~(frame >= 0.0)):
+    for row in np.flatnonzero(~((frame >= 0.0) & (frame < 2**53))):
         raise table.at(int(row), "frame", "is no number of a frame", "Count from 0.")
     is_near = (closing > 0.0) & (closing >= NEAR_1_S * distance - _ROUNDING)
     return tuple(map(int, frame[is_near])), Companion.of(table)

@@ -195,6 +195,7 @@ def test_which_frames_of_a_truth_are_near(tmp_path):
         ),
         (f"{head}0,far,1\n", "line 2, column distance_m: 'far' is no number"),
         (f"{head}0,1,\n,0,1\n", "line 3, column frame: is no number of a frame"),
+        (f"{head}inf,1,1\n", "line 2, column frame: is no number of a frame"),
     ):
         path.write_text(text)
         with pytest.raises(ResultError, match=why):
