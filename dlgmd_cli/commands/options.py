@@ -450,7 +450,7 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "video that states no rate, or only the rate of its playback.  [default: as stated; 30 for "
         "images]"),
     "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row per frame, in a "
-        "column time_s (seconds) or time_ms (milliseconds)."),
+        "column whose name or format says the unit, such as time_s, timestamp_us or hh:mm:ss."),
     "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
         "16-bit images, arrays and bags.  [default: 16]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "

@@ -14,9 +14,9 @@ import numpy as np
 
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.machine.pool import DONE
+from dlgmd_cli.machine.tables import read_table
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results import store
-from dlgmd_cli.results.csv import read_rows
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result, readable
@@ -193,8 +193,9 @@ def _failures(folder: Path) -> list[tuple[str, str]]:
     failed = []
     for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
         with suppress(ResultError):
-            header, *rows = read_rows(path) or [[]]
-            for row in (dict(zip(header, cells, strict=False)) for cells in rows):
-                if row.get("status") not in (DONE, None):
-                    failed.append((str(row.get("video")), row.get("error") or row["status"]))
+            table = read_table(path, ResultError)
+            columns = map(table.texts, ("video", "status", "error"))
+            for video, status, error in zip(*columns, strict=True):
+                if status not in (DONE, ""):
+                    failed.append((video, error or status))
     return list(dict.fromkeys(failed))

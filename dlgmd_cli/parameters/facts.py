@@ -50,6 +50,9 @@ class InputFacts(TypedDict, total=False):
     content_sha256: str
     contact_s: float
     repeats: int
+    # What an absolute clock showed at the first frame, from which the times count.
+    start_time_utc: str
+    clock_offset_s: float
     # For a recording: its source, how its images were cropped and turned, and the missing frames.
     source: str
     crop: str

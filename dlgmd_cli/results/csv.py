@@ -8,8 +8,8 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
-from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.machine.tables import Row, TextTable, read_table
 from dlgmd_cli.models import detection
 from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column, columns_of
 from dlgmd_cli.models.detection import AlarmSpan, Detection
@@ -57,8 +57,6 @@ _STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
 _DROPPED = r"[\s\"']*"
 _AT_START = re.compile(f"(?={_DROPPED}[{_STARTS_FORMULA}])")
 _BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
-# Maximum number of characters of a line that is read; lines of results are far shorter.
-_MAX_LINE = 10_000
 _MAX_NUMBER = 1e30
 
 
@@ -96,6 +94,19 @@ def text_cell(text: str) -> str:
     return f"./{line}" if _AT_START.match(line) else line
 
 
+def cells(header: Sequence[str], row: Iterable[Cell]) -> list[str]:
+    """A row as text; times, in columns whose names end in ``_s``, have six decimals or more.
+
+    Nine digits alone would give two frames of a recording of hours the same time.
+    """
+    return [
+        f"{value:.6f}".rstrip("0").rstrip(".")
+        if name.endswith("_s") and isinstance(value, float) and 1e3 <= abs(value) < math.inf
+        else cell(value)
+        for name, value in zip(header, row, strict=True)
+    ]
+
+
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Write cells as CSV; OSError passes through."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -106,7 +117,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
 
 def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
     """Write texts and numbers as CSV, None as an empty cell; OSError passes through."""
-    write_rows(path, header, ([*map(cell, row)] for row in rows))
+    write_rows(path, header, (cells(header, row) for row in rows))
 
 
 def table_of(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Table:
@@ -141,81 +152,53 @@ def read_columns(path: Path, header: tuple[str, ...], *, complete: bool = True) 
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.
     """
-    names, rows = _read(path, header, complete=complete)
-    return {name: column for name, column in _checked(path, names, rows).items() if name in header}
+    table = _read(path, header, complete=complete)
+    return {name: column for name, column in _checked(table).items() if name in header}
 
 
 def read_comparison_columns(path: Path) -> dict[str, Columns]:
     """Label -> columns of a compare.csv, in the file's order of labels; raises ResultError."""
-    names, rows = _read(path, COMPARISON)
-    by_label: dict[str, list[list[str]]] = {}
-    for row in rows:
-        by_label.setdefault(row[0], []).append(row[1:])
-    return {label: _checked(path, names[1:], rows) for label, rows in by_label.items()}
-
-
-def read_rows(path: Path, hint: str = "") -> list[list[str]]:
-    """The cells of a CSV, line by line; raises ResultError."""
-    # Spreadsheets may write a byte order mark.
-    with reading(path, hint), open_regular(path, newline="", encoding="utf-8-sig") as file:
-        return list(csv.reader(iter(lambda: file.readline(_MAX_LINE), "")))
-
-
-@contextmanager
-def reading(path: Path, hint: str = "") -> Iterator[None]:
-    """Convert errors while a CSV is read into ResultError."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise ResultError(str(path), "this file is missing", hint) from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8
-        reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"cannot be read ({reason})", hint) from None
+    table = _read(path, COMPARISON)
+    by_label: dict[str, list[Row]] = {}
+    for row in table.rows:
+        by_label.setdefault(row.cells[0], []).append(row)
+    return {label: _checked(replace(table, rows=rows)) for label, rows in by_label.items()}
 
 
 def contact_beside(path: str) -> float | None:
     """Time (s) of a rendered clip's collision, from the ground truth beside the clip, or None."""
     try:
-        with open_regular(Path(path).with_suffix(".csv"), encoding="utf-8") as file:
-            first = next(csv.DictReader(iter(lambda: file.readline(_MAX_LINE), "")), {})
-        contact_s = float(first["time_s"]) + float(first["time_to_contact_s"])
-    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        table = read_table(Path(path).with_suffix(".csv"), ResultError)
+        times_s, left_s = table.numbers("time_s"), table.numbers("time_to_contact_s")
+    except ResultError:
         return None
+    contact_s = float(times_s[0] + left_s[0]) if len(times_s) else math.nan
     return contact_s if math.isfinite(contact_s) else None
 
 
-def _read(
-    path: Path, header: tuple[str, ...], *, complete: bool = True
-) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The header of a table, checked against `header`, and the cells of every line below."""
-    first, *rows = read_rows(path, _run_again()) or [[]]
-    names = tuple(first)
-    is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == header[:1]
+def _read(path: Path, header: tuple[str, ...], *, complete: bool = True) -> TextTable:
+    """A table, whose columns are checked against `header`, with all cells in each row."""
+    table = read_table(path, ResultError, _run_again(), limited=False)
+    names, rows = table.names, table.rows
+    is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == [*header[:1]]
     if not is_whole or len(set(names)) < len(names):
         raise ResultError(str(path), f"its columns are not {','.join(header)}", _run_again())
-    if not complete and rows and len(rows[-1]) < len(names):
+    if not complete and rows and len(rows[-1].cells) < len(names):
         del rows[-1]
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise ResultError(
-                str(path), f"line {number} does not have {len(names)} cells", _run_again()
-            )
-    return names, rows
+    for row, (_, cells) in enumerate(rows):
+        if len(cells) != len(names):
+            raise table.at(row, "", f"it does not have {len(names)} cells", _run_again())
+    return table
 
 
-def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> Columns:
+def _checked(table: TextTable) -> Columns:
     """The rows as columns; raises ResultError unless frames and times are in order."""
-    if not rows:
+    path, names = table.path, [name for name in table.names if name != COMPARISON[0]]
+    if not table.rows:
         raise ResultError(str(path), "contains no frames", _run_again())
-    texts = dict(zip(header, zip(*rows, strict=True), strict=True))
-    try:
-        columns: Columns = {
-            name: np.array(values if name in _TEXTS else [float(v or "nan") for v in values])
-            for name, values in texts.items()
-        }
-    except ValueError as error:
-        raise ResultError(str(path), f"contains something other than numbers ({error})") from None
-    numbers = {name: column for name, column in columns.items() if name not in _TEXTS}
+    numbers: Columns = {name: table.numbers(name) for name in names if name not in _TEXTS}
+    texts = {name: np.array(table.texts(name)) for name in names if name in _TEXTS}
+    columns: Columns = {**numbers, **texts}
     frame, time_s = columns["frame"], columns["time_s"]
     is_in_order = (
         (frame == frame.round()) & (np.diff(frame, prepend=-1.0) > 0) & (frame < 2**53)

@@ -1,28 +1,27 @@
 """Labels of videos: their collisions, by frame; and finding the stored results of videos."""
 
-import codecs
-import csv
 import logging
 import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from io import StringIO
+from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path, PurePath
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, printable, warn
+from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, warn
 from dlgmd_cli.frame import Flags
-from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.machine.tables import EMPTY, PLAIN, TextTable, listed, read_table, thousands
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import ANGLES
-from dlgmd_cli.results.csv import reading, write_values
+from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
+from dlgmd_cli.video.given_times import Companion
 from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 
 _log = logging.getLogger(__name__)
@@ -31,20 +30,17 @@ LABELS, TRUTH = "labels.csv", "truth"
 # The required columns; the columns of words and of numbers, which may be missing or empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
-_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
+_FRAMES = ("collision_frame", "approach_start")
+_COLUMNS = ("video", *_FRAMES, *_NUMBERS, *WORDS)
 # The columns of a truth that are read. The true rate (1/s), closing speed over distance, at or
 # above which an alarm is justified.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
-# Programs whose integer columns cannot be empty write 32.0 or 32,0; R writes NA for an empty cell.
-# Three digits after a separator may be a group of thousands.
+# Programs whose integer columns cannot be empty write 32.0 or 32,0. Three digits after
+# a separator may be a group of thousands.
 _FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
 _THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
-_NO_FRAME = ("", "na", "nan")
 _FRAME_HINT = "Write a video and the number of a frame, or nothing after the comma."
-_MOST_NAMED = 12
-_DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _MEND = "Run 'dlgmd batch' again."
-_PLAIN, MAX_BYTES = "UTF-8, separated by commas", 1 << 26
 
 
 @dataclass(frozen=True)
@@ -104,31 +100,23 @@ def read_labels(path: Path) -> list[Label]:
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
-    header, rows, form = _read_table(path)
-    if not set(_NEEDED) <= set(header):
-        hint = f"Its first line should be {','.join(_NEEDED)}."
-        columns = f": its columns are {_listed(header)} ({form})" if any(header) else ""
-        raise ResultError(str(path), f"contains no labels{columns}", hint)
-    for name in _COLUMNS:
-        if header.count(name) > 1:
-            raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
-    further = [name for name in header if name not in _COLUMNS and name]
-    if further or form != _PLAIN:
-        kept = f"; further columns: {_listed(further)}" if further else ""
-        _log.info("Note: %s: read as %s%s.", path, form, kept)
+    table = read_table(path, ResultError)
+    table.require(*_NEEDED, what="labels")
+    known = {table.place(name) for name in _COLUMNS}
+    further = {at: name for at, name in enumerate(table.names) if name and at not in known}
+    if further or table.form != PLAIN:
+        kept = f"; further columns: {listed([*further.values()])}" if further else ""
+        _log.info("Note: %s: read as %s%s.", path, table.form, kept)
+    columns = {name: table.texts(name) for name in _COLUMNS}
+    numbers = {name: table.decimals(name) for name in _NUMBERS}
     labels = []
-    for number, row in enumerate(rows, start=2):
-        if any(row[len(header) :]):
-            why = f"line {number} has more cells than the first line"
-            raise ResultError(str(path), why, "Write a cell that contains a separator in quotes.")
-        if any(row):
-            labels.append(_label(path, number, dict(zip(header, row, strict=False)), further))
+    for row, (_, cells) in enumerate(table.rows):
+        if any(map(str.strip, cells)):
+            known_cells = {name: column[row] for name, column in columns.items()}
+            label = _label(table, row, known_cells, {key: numbers[key][row] for key in numbers})
+            more = ((name, "".join(cells[at : at + 1]).strip()) for at, name in further.items())
+            labels.append(replace(label, further=tuple(more)))
     return labels
-
-
-def _listed(names: list[str]) -> str:
-    """Names of columns, in words."""
-    return printable(", ".join(names[:_MOST_NAMED]) + (", …" if names[_MOST_NAMED:] else ""))
 
 
 def by_path(path: Path) -> ByVideo:
@@ -205,46 +193,36 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
             warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
 
 
-def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
-    """The label in a line of a table; raises ResultError."""
-    cells = {name: row.get(name, "").strip() for name in _COLUMNS}
-    if not cells["video"] or "collision_frame" not in row:
-        raise ResultError(str(path), f"line {number} is not a label", _FRAME_HINT)
-    collision, start = (
-        _frame(path, number, cells[name]) for name in ("collision_frame", "approach_start")
-    )
+def _label(
+    table: TextTable, row: int, cells: Mapping[str, str], numbers: Mapping[str, Decimal | None]
+) -> Label:
+    """The label in a row of a table, without further columns; raises ResultError."""
+    if not cells["video"] or len(table.rows[row].cells) <= (table.place("collision_frame") or 0):
+        raise table.at(row, "", "this is not a label", _FRAME_HINT)
+    collision, start = (_frame(table, row, name, cells[name]) for name in _FRAMES)
     if collision is not None and start is not None and start > collision:
-        why = f"line {number}: the approach starts after the collision"
-        raise ResultError(str(path), why, "Correct one of them.")
-    more = tuple((name, row.get(name, "").strip()) for name in further)
-    target, kind, manner = (cells[name] for name in WORDS)
-    fov, tilt, speed = _numbers(path, number, cells)
-    return Label(cells["video"], collision, target, kind, manner, more, fov, tilt, speed, start)
+        why = "the approach starts after the collision"
+        raise table.at(row, "approach_start", why, "Correct one of them.")
+    measured: list[float | None] = []
+    for name, spec in _NUMBERS.items():
+        try:
+            value = numbers[name]
+            measured.append(None if value is None else spec.check(float(value)))
+        except ParameterError as error:
+            raise table.at(row, name, error.why, error.hint) from None
+    (target, kind, manner), (fov, tilt, speed) = (cells[name] for name in WORDS), measured
+    return Label(cells["video"], collision, target, kind, manner, (), fov, tilt, speed, start)
 
 
-def _frame(path: Path, number: int, cell: str) -> int | None:
+def _frame(table: TextTable, row: int, name: str, cell: str) -> int | None:
     """The number of a frame in a cell, None if it is empty; raises ResultError."""
     if whole := _FRAME.fullmatch(cell):
         return int(whole[1])
-    if cell.lower() in _NO_FRAME:
+    if cell.lower() in EMPTY:
         return None
-    why, hint = f"line {number} is not a label", _FRAME_HINT
-    if thousands := _THOUSANDS.fullmatch(cell):
-        why = f"line {number}: {thousands[0]!r} may be a thousand times {thousands[1]}"
-        hint = f"Write {thousands[1]}{thousands[2]} or {thousands[1]}."
-    raise ResultError(str(path), why, hint)
-
-
-def _numbers(path: Path, number: int, cells: Mapping[str, str]) -> list[float | None]:
-    """The numbers in a line of a table, in the order of `_NUMBERS`; raises ResultError."""
-    numbers: list[float | None] = []
-    for name, spec in _NUMBERS.items():
-        try:
-            numbers.append(spec.parse(cells[name]) if cells[name] else None)
-        except ParameterError as error:
-            why = f"line {number}: {name}: {error.why}"
-            raise ResultError(str(path), why, error.hint) from None
-    return numbers
+    if _THOUSANDS.fullmatch(cell):
+        raise table.at(row, name, *thousands(cell))
+    raise table.at(row, name, f"{cell[:40]!r} is not a frame", _FRAME_HINT)
 
 
 @dataclass(frozen=True)
@@ -259,15 +237,15 @@ class Case:
         The labels of the video's collisions in order, or a single label without a collision.
     near : tuple of int
         The frames whose true rate of growth is `NEAR_1_S` or more; empty if there is no truth.
-    n_truth : int
-        The number of frames in the truth.
+    truth : Companion, optional
+        The rows of the truth.
     """
 
     name: str
     path: str
     labels: tuple[Label, ...]
     near: tuple[int, ...] = ()
-    n_truth: int = 0
+    truth: Companion | None = None
 
     @property
     def collisions(self) -> tuple[int, ...]:
@@ -296,32 +274,24 @@ def read_cases(path: Path) -> list[Case]:
         place = where if is_url(where) else str(path.parent / name)
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         truth = path.parent / TRUTH / f"{PurePath(name).stem}.csv"
-        near, n_truth = near_frames(truth) if truth.is_file() else ((), 0)
-        cases.append(Case(name, place, tuple(ordered), near, n_truth))
+        found = near_frames(truth) if truth.is_file() else ()
+        cases.append(Case(name, place, tuple(ordered), *found))
     return cases
 
 
-def near_frames(path: Path) -> tuple[tuple[int, ...], int]:
+def near_frames(path: Path) -> tuple[tuple[int, ...], Companion]:
     """The frames of a truth with a rate (closing speed over distance) of `NEAR_1_S` or more.
 
-    Also returns the number of frames of the video, as far as the truth knows it.
-
-    Raises ResultError if the file lacks one of the columns frame, distance_m and closing_m_s.
+    Also returns the rows of the truth. Raises ResultError if the file lacks one of the columns
+    frame, distance_m and closing_m_s.
     """
-    header, rows, _ = _read_table(path)
-    if not set(_TRUTH) <= set(header):
-        raise ResultError(str(path), f"lacks one of the columns {_listed([*_TRUTH])}")
-    near, n_frames = [], 0
-    for number, row in enumerate(rows, start=2):
-        cells = dict(zip(header, row, strict=False))
-        try:
-            frame, distance, closing = (float(cells.get(name) or "nan") for name in _TRUTH)
-            if closing > 0.0 and closing >= NEAR_1_S * distance - _ROUNDING:
-                near.append(int(frame))
-            n_frames = max(n_frames, int(frame) + 1)
-        except (ValueError, OverflowError):
-            raise ResultError(str(path), f"line {number} has a cell that is no number") from None
-    return tuple(near), n_frames
+    table = read_table(path, ResultError)
+    table.require(*_TRUTH, what="the truth of a video")
+    frame, distance, closing = map(table.numbers, _TRUTH)
+    for row in np.flatnonzero(~((frame >= 0.0) & (frame < 2**53))):
+        raise table.at(int(row), "frame", "is no number of a frame", "Count from 0.")
+    is_near = (closing > 0.0) & (closing >= NEAR_1_S * distance - _ROUNDING)
+    return tuple(map(int, frame[is_near])), Companion.of(table)
 
 
 def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:
@@ -350,46 +320,6 @@ def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:
                 if name == group
             }
     return members
-
-
-def _read_table(path: Path) -> tuple[list[str], list[list[str]], str]:
-    """Read a table of another program, such as pandas, R or a spreadsheet.
-
-    The delimiter is the most frequent one in the first line. The encoding is that of the byte order
-    mark, else UTF-8, else cp1252 (Windows in Western Europe). Returns the names of the columns, the
-    rows (empty for empty lines), and the encoding and delimiter in words. Raises ResultError if the
-    file cannot be read.
-    """
-    with reading(path):
-        with open_regular(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise ResultError(str(path), f"is larger than {MAX_BYTES >> 20} MiB", "Split it.")
-        encoding, text = _decoded(data)
-    mark = max(_DELIMITERS, key=text.partition("\n")[0].count)
-    rows: list[list[str]] = []
-    reader, read = csv.reader(StringIO(text, newline=""), delimiter=mark, strict=True), 0
-    try:
-        for row in reader:
-            rows.append(row)
-            read = reader.line_num
-    except csv.Error as error:
-        why = f"the row in line {read + 1} cannot be read ({error})"
-        raise ResultError(str(path), why, "Check its quotes.") from None
-    header, *rows = rows or [[]]
-    return [name.strip() for name in header], rows, f"{encoding}, separated by {_DELIMITERS[mark]}"
-
-
-def _decoded(data: bytes) -> tuple[str, str]:
-    """The encoding and the text; raises ValueError if the data are not text."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "UTF-16", data.decode("utf-16")
-    if b"\0" in data:
-        raise ValueError("no text")
-    try:
-        return "UTF-8", data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return "cp1252", data.decode("cp1252")
 
 
 class StoredResults:

@@ -1,21 +1,20 @@
 """The camera of an input: its angles, its part of the image, and the direction of flight."""
 
-import csv
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, counted
-from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.machine.tables import TextTable, read_table
 from dlgmd_cli.models.windows import Camera, Direction
 from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
-from dlgmd_cli.video.given_times import surplus
+from dlgmd_cli.video.given_times import Companion
 from dlgmd_cli.video.input_options import InputOptions
 
 # Left, top, right and bottom edges, as shares of the sides of an image.
@@ -31,7 +30,7 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
 
     Raises ParameterError if the file is not a table of headings.
     """
-    frames, right_deg, up_deg = _heading_table(path).T
+    frames, right_deg, up_deg = map(_heading_table(path).numbers, HEADING_COLUMNS)
 
     def direction(frame: int) -> Direction | None:
         if not frames[0] <= frame <= frames[-1]:
@@ -42,33 +41,32 @@ def read_headings(path: str) -> Callable[[int], Direction | None]:
     return direction
 
 
-def _heading_table(path: str) -> npt.NDArray[np.float64]:
-    """The columns `HEADING_COLUMNS` of a table, (n, 3); raises as `read_headings` does."""
-    try:
-        with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
-            cells = [[row[name] for name in HEADING_COLUMNS] for row in csv.DictReader(file)]
-        rows = [[float(cell or math.nan) for cell in row] for row in cells]
-    except OSError as error:
-        raise ParameterError(str(path), error.strerror or str(error)) from None
-    except (UnicodeError, KeyError, TypeError, ValueError, csv.Error):
-        rows = []
-    table = np.array(rows).reshape(-1, len(HEADING_COLUMNS))
-    frames = table[:, 0]
-    is_sound = np.isfinite(frames).all() and not np.isinf(table).any()
-    if not len(table) or not is_sound or (np.diff(frames) <= 0.0).any():
-        why = "is not a table of directions of flight, with increasing frames"
-        hint = f"Its first line should be {','.join(HEADING_COLUMNS)}."
-        raise ParameterError(str(path), why, hint)
+def _heading_table(path: str) -> TextTable:
+    """A table with the columns `HEADING_COLUMNS`; raises as `read_headings` does."""
+    table = read_table(Path(path), ParameterError)
+    table.require(*HEADING_COLUMNS, what="directions of flight")
+    frames = table.numbers("frame")
+    if not len(frames):
+        raise ParameterError(str(path), "has no row", "Give the directions of flight by frame.")
+    before = np.array([-math.inf, *frames[:-1]])
+    for row in np.flatnonzero(~(np.isfinite(frames) & (frames > before))):
+        hint = "Give a higher frame in each row."
+        raise table.at(int(row), "frame", "is no frame after the one before", hint)
+    for name in HEADING_COLUMNS[1:]:
+        for row in np.flatnonzero(np.isinf(table.numbers(name))):
+            raise table.at(int(row), name, "is no angle", "Write degrees.")
     return table
 
 
-def headings_beyond(path: str, n_frames: int) -> str:
-    """A warning about headings after the last frame of a video, or empty.
+def headings_misfit(path: str, result: Result) -> str:
+    """A warning if a table of headings does not fit the video of a result, or empty.
 
-    One row may lie there: the last frames are interpolated between it and the row before.
+    One row may lie after the last frame: the last frames are interpolated between it and the row
+    before.
     """
-    n_more = int((_heading_table(path)[:, 0] >= n_frames).sum())
-    return surplus(path, "row", n_frames + n_more, n_frames) if n_more > 1 else ""
+    n_frames = result.record["input"]["frames"] if result.complete else math.inf
+    companion = Companion.of(_heading_table(path))
+    return companion.misfit(path, n_frames, result.frame, result.time_s, spare=1)
 
 
 def not_headed(

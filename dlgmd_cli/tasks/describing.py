@@ -17,7 +17,7 @@ from dlgmd_cli.results.csv import Rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.store import is_url
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.camera import headings_beyond, not_headed
+from dlgmd_cli.tasks.camera import headings_misfit, not_headed
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import content_sha256
 from dlgmd_cli.video.source import Video
@@ -132,7 +132,7 @@ def input_record(
         facts["repeats"] = n_repeats
     known = info.identity if identity is None else identity
     return {
-        "input": {**facts, **known},
+        "input": {**facts, **info.start, **known},
         "processed": processed_record(size_wh, len(rows), video.hidden(size_wh)),
     }
 
@@ -149,6 +149,5 @@ def doubts_of(
         return [*lines, unmeasured] if result.rule.uses_expansion else lines
     if heading is not None:
         lines.append(not_headed(heading, camera, source_wh, result.frame))
-    if heading is not None and result.complete:
-        lines.append(headings_beyond(heading, result.record["input"]["frames"]))
+        lines.append(headings_misfit(heading, result))
     return [line for line in lines if line]

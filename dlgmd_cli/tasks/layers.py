@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.facts import InputFacts, Value
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.files import LAYER_ARRAYS
-from dlgmd_cli.results.labels import first_collision
+from dlgmd_cli.results.labels import first_collision, tell_outside
 from dlgmd_cli.results.outcome import Outcome
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
@@ -351,6 +351,7 @@ def _chosen(
         results = stepping.run_models(video, request, on_frame=on_frame)
     cancel.check()
     stepping.require_response(video, request, results)
+    tell_outside(video.info.name, results[0].frame, [] if contact is None else [contact])
     return telling_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 

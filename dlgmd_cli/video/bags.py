@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from itertools import islice
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,12 @@ from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
 from dlgmd_cli.video.images import image_of
-from dlgmd_cli.video.timestamps import steady_fps
+from dlgmd_cli.video.timestamps import start_of, steady_fps
 
 NAME = "rosbags"
 _METADATA, _MARK = "metadata.yaml", b"rosbag2_bagfile_information"
 _RAW, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-# Number of messages that the frame rate is measured over: few, since a raw image is large.
+# Number of messages that the frame rate is measured over.
 _N_FIRST = 30
 # Encodings of raw images: sample type, samples per pixel, OpenCV's conversion to BGR (or None).
 _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
@@ -61,7 +61,8 @@ def bag_files(path: Path) -> list[Path]:
 class BagDecoder:
     """Yields the raw or compressed images of one topic of a bag, at the times of their headers.
 
-    Where the headers have no times, the times of recording are used.
+    Where the headers have no times, the times of recording are used. Images that were recorded out
+    of order are sorted by their times.
 
     Parameters
     ----------
@@ -100,15 +101,16 @@ class BagDecoder:
             }
             self.topic = topic = _chosen(path, known, topic, any_topic)
             self._connections = known[topic].connections
-            if next(self.stamps(), None) is None:
-                raise Unreadable("no message could be read, the file is damaged")
+            start = start_of(self._sort())
+            next(self.stamps())
             height, width = decoded(self._message).shape[:2]
-            stamps = list(islice(self.stamps(), _N_FIRST))
+            stamps = self._times_s[:_N_FIRST]
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
             codec = getattr(self._message, "encoding", "") or self._message.format
-            self.info = SourceInfo(width, height, fps, known[topic].msgcount, codec=codec)
+            n_frames = known[topic].msgcount
+            self.info = SourceInfo(width, height, fps, n_frames, codec=codec, start=start)
         except BaseException as error:
             self.close()
             if isinstance(error, Unreadable):
@@ -116,23 +118,45 @@ class BagDecoder:
             raise
 
     def stamps(self) -> Iterator[float]:
-        """The time of each image in seconds since the first; ends at damage."""
-        first_ns = None
+        """The time of each image in seconds since the first, in the order of the times."""
+        waiting: dict[int, Any] = {}
+        n_taken = 0
+        for (_, _, message), rank in zip(self._messages(), self._ranks, strict=False):
+            waiting[rank] = message
+            while n_taken in waiting:
+                self._message = waiting.pop(n_taken)
+                yield self._times_s[n_taken]
+                n_taken += 1
+
+    def _messages(self) -> Iterator[tuple[int, int, Any]]:
+        """The times of capture and of recording, in ns, and the messages; ends at damage."""
         messages = self._reader.messages(connections=self._connections)
         while True:
             try:
                 connection, received_ns, data = next(messages)
-                self._message = self._reader.deserialize(data, connection.msgtype)
-                stamp = self._message.header.stamp
+                message = self._reader.deserialize(data, connection.msgtype)
+                stamp = message.header.stamp
                 stamp_ns = stamp.sec * 10**9 + stamp.nanosec
             except StopIteration:
                 return
             except Exception:  # each bag format raises its own types
                 self.is_damaged = True
                 return
-            if first_ns is None:
-                first_ns, has_stamps = stamp_ns or received_ns, stamp_ns > 0
-            yield 1e-9 * ((stamp_ns if has_stamps else received_ns) - first_ns)
+            yield stamp_ns, received_ns, message
+
+    def _sort(self) -> Decimal:
+        """Find the order of the messages by their times; the first time in s. Raises Unreadable."""
+        stamps_ns = [times for *times, _ in self._messages()]
+        self.is_damaged = False  # until the images before the damage are read
+        if not stamps_ns:
+            raise Unreadable("no message could be read, the file is damaged")
+        has_stamps = all(stamp_ns > 0 for stamp_ns, _ in stamps_ns)
+        times_ns = [stamp_ns if has_stamps else received_ns for stamp_ns, received_ns in stamps_ns]
+        order = sorted(range(len(times_ns)), key=times_ns.__getitem__)
+        self._ranks = np.argsort(order).tolist()
+        first_ns = times_ns[order[0]]
+        self._times_s = [1e-9 * (times_ns[at] - first_ns) for at in order]
+        return first_ns * Decimal("1e-9")
 
     def picture(self) -> tuple[Image, None]:
         """The image of the latest message; raises Unreadable if undecodable or of another size."""

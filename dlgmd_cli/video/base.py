@@ -32,6 +32,8 @@ FALLBACK_FPS = 30.0
 MAX_SIDE = 8192
 TOO_LARGE = f"is larger than {MAX_SIDE}x{MAX_SIDE} px"
 MAX_PLAUSIBLE_FPS = 1000.0
+# The highest rate that a user may give; a higher one is a time base, or times in another unit.
+MAX_FPS = 5000.0
 _MAX_DECODER_THREADS = 16
 LITTLE_MEMORY = 64 << 20  # bytes
 
@@ -121,7 +123,7 @@ class SourceInfo:
     gaps if the stated rate is a lower average. `path` is absolute, and `given` is the path or name
     passed to `open_video`. `name` names the results: the stem of a file, the name of a folder.
     `decoder` is opencv, pyav, rosbags or array. `identity` identifies the content without decoding
-    it, see `fingerprint`.
+    it, see `fingerprint`. `start` says what the clock showed at the first frame, see `start_of`.
     """
 
     width: int
@@ -143,6 +145,7 @@ class SourceInfo:
     decoder: str = ""
     identity: InputFacts = field(default_factory=InputFacts)
     given: str = ""
+    start: InputFacts = field(default_factory=InputFacts)
 
     @property
     def size_wh(self) -> tuple[int, int]:

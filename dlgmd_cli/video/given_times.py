@@ -1,36 +1,97 @@
 """The times of frames where the user knows better than the video: a rate, or a table."""
 
-import csv
-import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from decimal import Decimal
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, argument, counted
-from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.video.timestamps import frame_rates
+from dlgmd_cli.machine.tables import TextTable, listed, plain, read_table
+from dlgmd_cli.parameters.facts import InputFacts
+from dlgmd_cli.video.base import MAX_FPS
+from dlgmd_cli.video.timestamps import LEAST_STEP_S, frame_rates, is_unix, start_of
 
-# Names of columns with times: time_s, t, seconds, "Time Stamp (ms)"; those in milliseconds.
-_TIMES = re.compile(r"(?i)time|sec|milli|(^|[^a-z])(t|s|ms)([^a-z]|$)")
-_MILLISECONDS = re.compile(r"(?i)milli|msec|(^|[^a-z])ms([^a-z]|$)")
+# Names of columns with times; with times of something else; and with what is per time.
+_TIMES = re.compile(r"time|stamp|zeit|(?:^|_)(?:t|pts|utc|clock|elapsed)(?:_|$)")
+_NO_TIMES = re.compile(r"contact|exposure|shutter|duration|delta|interval|latency|(?:^|_)dt(?:_|$)")
+_RATE = re.compile(r"(?:^|_)(?:[ck]?m|deg|rad|px|per|1)_")
+# Unit -> seconds, and the words in a column's name that mean it.
+_UNITS = {
+    "ns": (Decimal("1e-9"), r"n(?:s|secs?|anos?|ano_?sec(?:ond)?s?)|sensor_timestamp$"),
+    "us": (Decimal("1e-6"), r"[uµμ](?:s|secs?)|micros?|micro_?sec(?:ond)?s?"),
+    "ms": (Decimal("1e-3"), r"m(?:s|secs?)|millis?|milli_?sec(?:ond)?s?"),
+    "s": (Decimal(1), r"s|secs?|seconds?"),
+    "min": (Decimal(60), r"mins?|minutes?"),
+    "h": (Decimal(3600), r"h|hrs?|hours?"),
+}
+_GUESSED = ("s", "ms", "us", "ns")
+_FORMAT = re.compile(r"(?:timecode|timestamp) format (v\d+)")
+_MEND = "Its first line names the columns; write time_s above seconds, time_ms above ms."
+
+
+class Companion(NamedTuple):
+    """The rows of a table beside a video, such as its truth: frames, and times in s, both (n,)."""
+
+    frames: npt.NDArray[np.float64]
+    times_s: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, table: TextTable) -> "Companion":
+        """The columns `frame` and `time_s`; NaN where a time is missing."""
+        return cls(table.numbers("frame"), table.numbers("time_s", clocks=True))
+
+    def misfit(
+        self,
+        origin: str,
+        n_frames: float,
+        frames: npt.NDArray[np.int64],
+        times_s: npt.NDArray[np.float64],
+        spare: int = 0,
+    ) -> str:
+        """A warning if the table is not that of its video, or empty.
+
+        The table, the file `origin`, may have `spare` rows after the video's last frame. The times
+        of the video's `frames` are `times_s`, (m,); both count from the first common frame.
+        """
+        n_more = int((self.frames >= n_frames).sum())
+        if n_more > spare:
+            return _surplus(origin, "row", n_more)
+        is_timed = np.isfinite(self.times_s)
+        common = np.intersect1d(self.frames[is_timed], frames, return_indices=True)
+        if len(common[0]) < 2:
+            return ""
+        told_s, own_s = self.times_s[is_timed][common[1]], times_s[common[2]]
+        told_s, own_s = told_s - told_s[0], own_s - own_s[0]
+        worst = int(np.argmax(np.abs(told_s - own_s)))
+        if abs(told_s[worst] - own_s[worst]) <= 2.0 * np.median(np.diff(times_s)):
+            return ""
+        what = f"{origin} has frame {common[0][worst]:.0f} at {told_s[worst]:.3f} s"
+        return f"{what}, the video at {own_s[worst]:.3f} s; check that they belong together"
 
 
 @dataclass(frozen=True)
 class GivenTimes:
     """The true times of a video's frames.
 
-    `fps` is their nominal rate. `table` has the time of each frame in seconds, from the file
-    `origin`; without it, the video's own times are multiplied by `factor`.
+    `fps` is their nominal rate. `table` has the time of each frame in seconds from the first, from
+    the file `origin`, and may have `spare` rows more than the video has frames; `start` is what a
+    record says of the first time, see `start_of`. Without a table, the video's own times are
+    multiplied by `factor`.
     """
 
     fps: float
     factor: float = 1.0
     table: npt.NDArray[np.float64] | None = None
     origin: str = ""
+    start: InputFacts = field(default_factory=InputFacts)
+    spare: int = 0
 
     def time(self, index: int, file_s: float) -> float:
         """Time of frame `index` in seconds; `file_s` is the video's own. Raises ParameterError."""
@@ -43,17 +104,13 @@ class GivenTimes:
 
     def report(self, n_frames: int) -> str:
         """After reading a whole video: a warning about times without a frame, or empty."""
-        return "" if self.table is None else surplus(self.origin, "time", len(self.table), n_frames)
+        n_more = 0 if self.table is None else len(self.table) - n_frames
+        return _surplus(self.origin, "time", n_more) if n_more > self.spare else ""
 
 
-def surplus(origin: str, noun: str, n_rows: int, n_frames: int) -> str:
-    """A warning if a table of a video's frames has more rows than the video has frames, or empty.
-
-    `noun` names a row of the table, which is the file `origin`.
-    """
-    if n_rows <= n_frames:
-        return ""
-    what = f"{origin} has {counted(n_rows - n_frames, noun)} more than the video has frames"
+def _surplus(origin: str, noun: str, n_more: int) -> str:
+    """A warning that a table has more rows, each a `noun`, than its video has frames."""
+    what = f"{origin} has {counted(n_more, noun)} more than the video has frames"
     return f"{what}; check that they belong together"
 
 
@@ -68,57 +125,98 @@ def given_times(
         if input_fps is not None:
             why = f"{argument('times')} and {argument('input_fps')} exclude each other"
             raise ParameterError("", why, "Give one of them.")
-        table = read_times(times)
-        rates = frame_rates([*map(float, table)])
-        if rates is None:
-            raise ParameterError(str(times), "has fewer than two times", "Give one row a frame.")
-        return GivenTimes(rates.mean_fps, table=table, origin=str(times))
+        return read_times(times)
     if input_fps and stated_fps and input_fps != stated_fps:
         return GivenTimes(input_fps, stated_fps / input_fps)
     return None
 
 
-def read_times(path: str | os.PathLike[str]) -> npt.NDArray[np.float64]:
-    """The times in seconds in a CSV with one row a frame, (n,).
+def read_times(path: str | os.PathLike[str]) -> GivenTimes:
+    """The times in a table with one row a frame.
 
-    Columns are separated by commas, or by semicolons or tabs, and then 0.5 may be ``0,5``. The
-    times are in the first column whose name speaks of time (``time_s``), or in the only one.
-    They are milliseconds if the name says so (``ms``, ``Time Stamp (ms)``).
+    They are in the first column whose name speaks of time (``time_s``), or in the only one, as
+    numbers, as ``hh:mm:ss.fff``, or with a date. The name, or a row of units below it, may say the
+    unit (``time_ms``, ``t [ns]``); a file that begins with ``# timecode format v2`` is in ms.
+    Without a unit, times are in seconds, or count from 1970 in the unit that means this century.
 
     Raises
     ------
     ParameterError
-        If the file has no such column, a time is missing, or times do not increase.
+        If the file has no such column, a time is missing, times do not increase, or their step
+        means no rate of a camera.
     """
-    try:
-        with open_regular(Path(path), newline="", encoding="utf-8-sig") as file:
-            lines = file.read().rstrip().splitlines() or [""]
-        separator = max(",;\t", key=lines[0].count)
-        names, *rows = csv.reader(lines, delimiter=separator)
-    except OSError as error:
-        raise ParameterError(str(path), error.strerror or str(error)) from None
-    except (UnicodeError, csv.Error):
-        separator, names, rows = ",", [], []
-    columns = [at for at, name in enumerate(names) if _TIMES.search(name.strip())]
-    if not columns and len(names) == 1 and math.isnan(_seconds(names[0], separator)):
-        columns = [0]
-    if not columns:
-        hint = "Its first line names the columns; write time_s above seconds, time_ms above ms."
-        raise ParameterError(str(path), "is not a table with a column of times", hint)
-    at = columns[0]
-    scale = 1e-3 if _MILLISECONDS.search(names[at]) else 1.0
-    table = np.array([_seconds(row[at] if at < len(row) else "", separator) for row in rows])
-    table *= scale
-    for number in np.flatnonzero(~np.isfinite(table)):
-        raise ParameterError(str(path), f"frame {number} has no time", "Give one row a frame.")
-    for number in np.flatnonzero(np.diff(table) <= 0.0) + 1:
-        why = f"the time of frame {number}, {table[number]:g} s, is not after the one before"
-        raise ParameterError(str(path), why, "Times must increase.")
-    return table
+    table = read_table(Path(path), ParameterError)
+    name, unit = _column(table)
+    cells, times = table.texts(name), list[Decimal]()
+    for row, time in enumerate(table.decimals(name, clocks=True)):
+        if time is None:
+            raise table.at(row, name, f"frame {row} has no time", "Give one row a frame.")
+        times.append(time)
+    if len(times) < 2:
+        raise ParameterError(str(path), "has fewer than two times", "Give one row a frame.")
+    steps = [after - before for before, after in pairwise(times)]
+    unit = "s" if any(":" in cell for cell in cells) else unit
+    scale = _UNITS[_plausible(table, name, unit, times[0], median(steps))][0]
+    for row, step in enumerate(steps, start=1):
+        if step * scale < LEAST_STEP_S:
+            why = f"frame {row} is at {cells[row]}, not after the one before, {cells[row - 1]}"
+            raise table.at(row, name, why, "Times must increase.")
+    found = np.array([float((time - times[0]) * scale) for time in times])
+    rates = frame_rates(found.tolist())
+    assert rates is not None  # there are two times or more
+    start, spare = start_of(times[0] * scale), int(bool(_FORMAT.search(table.remark)))
+    return GivenTimes(rates.mean_fps, 1.0, found, str(path), start, spare)
 
 
-def _seconds(cell: str, separator: str) -> float:
-    try:
-        return float(cell if separator == "," else cell.replace(",", "."))
-    except ValueError:
-        return math.nan
+def _column(table: TextTable) -> tuple[str, str]:
+    """The name of the column of times, and its unit, empty if unknown; raises ParameterError."""
+    if form := _FORMAT.search(table.remark):
+        if form[1] != "v2":
+            why = f"is in the timecode format {form[1]}, of which only v2 is read"
+            hint = "Write a time in ms for each frame, as 'mkvextract FILE timestamps_v2' does."
+            raise ParameterError(str(table.path), why, hint)
+        return next(iter(table.names), ""), "ms"
+    units = dict(zip(table.names, table.units, strict=False))
+    known = {name: unit_of(name) or unit_of(units.get(name, "")) for name in table.names}
+    named = [name for name in known if _TIMES.search(plain(name))]
+    named += [name for name, unit in known.items() if unit and not _RATE.search(plain(name))]
+    chosen = [name for name in named if not _NO_TIMES.search(plain(name))]
+    if not chosen and len(table.names) == 1 and not _counts(table):
+        chosen = table.names
+    if not chosen:
+        columns = f": it has the columns {listed(table.names)} ({table.form})"
+        why = "is not a table with a column of times" + (columns if any(table.names) else "")
+        raise ParameterError(str(table.path), why, _MEND)
+    return chosen[0], known[chosen[0]]
+
+
+def _counts(table: TextTable) -> bool:
+    """Whether the only column numbers the rows, from 0 or 1."""
+    cells, numbers = table.texts(table.names[0]), [*map(str, range(len(table.rows) + 1))]
+    return cells in (numbers[:-1], numbers[1:])
+
+
+def unit_of(text: str) -> str:
+    """The unit of time that a name says, such as ``ms`` for ``time_ms``; empty for none."""
+    words = plain(text)
+    for unit, (_, names) in _UNITS.items():
+        if re.search(f"(?:^|_)(?:{names})(?:_|$)", words):
+            return unit
+    return ""
+
+
+def _plausible(table: TextTable, name: str, unit: str, first: Decimal, step: Decimal) -> str:
+    """The given unit, or the one that fits; raises ParameterError if the step means no rate."""
+    if step <= 0:
+        return unit or "s"  # the caller finds the row
+    rates = {one: 1.0 / float(step * scale) for one, (scale, _) in _UNITS.items()}
+    fitting = [one for one in _GUESSED if 1.0 <= rates[one] <= MAX_FPS]
+    dated = [one for one in fitting if is_unix(first * _UNITS[one][0])]
+    taken = unit or next(iter(dated), "s")
+    if taken in fitting or (unit and rates[unit] < 1.0):
+        return taken
+    why = f"a step of {step.normalize():f} {taken} means {rates[taken]:.3g} frames/s"
+    hint = " or ".join(f"time_{one} ({rates[one]:.3g} frames/s)" for one in fitting)
+    slow = f"; time_{taken}, if it is so slow" if rates[taken] < 1.0 else ""
+    hint = f"Write the unit into the first line: {hint}{slow}." if hint else "Check the column."
+    raise ParameterError(str(table.path), f"{name or 'its only column'}: {why}", hint)

@@ -16,7 +16,7 @@ from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.parameters.checks import Spec, shown
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.presets import ANGLES
-from dlgmd_cli.video.base import DECODERS, Crop, ImageOptions, parse_crop, parse_size
+from dlgmd_cli.video.base import DECODERS, MAX_FPS, Crop, ImageOptions, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.video.base import SourceInfo
@@ -29,7 +29,7 @@ SPECS = {
     "start": Spec(low=0, high=1e9),
     "end": Spec(low=0, high=1e9),
     "repeats": Spec(str, choices=("skip", "keep")),
-    "input_fps": Spec(low=0, high=100_000, low_open=True),
+    "input_fps": Spec(low=0, high=MAX_FPS, low_open=True),
     "bit_depth": Spec(int, low=8, high=16),
     "topic": Spec(str),
     "decoder": Spec(str, choices=DECODERS),

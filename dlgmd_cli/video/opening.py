@@ -116,8 +116,9 @@ def open_video(
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        True frame rate, also of a video that states another, such as the rate of its playback. 30
-        unless given for images, arrays, and bare H.264 or H.265, whose own rate is often wrong.
+        True frame rate, up to 5,000, also of a video that states another, such as the rate of its
+        playback. 30 unless given for images, arrays, and bare H.264 or H.265, whose own rate is
+        often wrong.
     times : path, optional
         A table with the time of each frame, see `read_times`, in place of all other times.
     bit_depth : int, optional
@@ -159,8 +160,9 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, base.DECODERS)
-    if repeats is not None:
-        SPECS["repeats"].check(repeats, "repeats")
+    for name, value in {"repeats": repeats, "input_fps": input_fps}.items():
+        if value is not None:
+            SPECS[name].check(value, argument(name))
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
@@ -173,6 +175,7 @@ def open_video(
         most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
         info = _info(path, where, name, opened, fps)
+        info = replace(info, start=given.start if given else info.start)
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
         region.hidden(size)  # raises if nothing is left

@@ -3,14 +3,19 @@
 import itertools
 import math
 from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 
 from dlgmd_cli.errors import counted
+from dlgmd_cli.parameters.facts import InputFacts
 
 # 30 years, in s. OpenCV's timestamps are far larger if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
+# The least time between two frames: tables have six decimals.
+LEAST_STEP_S = 2e-6
 # The frame rate varies if more than this share of the intervals differs from the median.
 _ODD_SHARE = 0.05
 # The rate is measured over the first 100 timestamps; at least 12 are needed.
@@ -76,6 +81,22 @@ def rate_between_gaps(stated_fps: float | None, steady_fps: float | None) -> flo
     return stated_fps
 
 
+def is_unix(time_s: float | Decimal) -> bool:
+    """Whether a clock that shows this time counts from 1970: the time is from 2001 to 2096."""
+    return 1_000_000_000 <= time_s <= 4_000_000_000
+
+
+def start_of(first_s: float | Decimal) -> InputFacts:
+    """What a record says of the clock of times that count from the first frame.
+
+    `start_time_utc` if the clock counts from 1970, else `clock_offset_s`; nothing if it began at 0.
+    """
+    if is_unix(first_s):
+        start = datetime(1970, 1, 1) + timedelta(microseconds=round(first_s * 1_000_000))
+        return {"start_time_utc": f"{start.isoformat(timespec='microseconds')}Z"}
+    return {"clock_offset_s": float(first_s)} if first_s else {}
+
+
 class FrameClock:
     """Turns a decoder's timestamps, however poor, into strictly increasing times.
 
@@ -86,24 +107,25 @@ class FrameClock:
         self._interval = 1.0 / fps
         self._fps = fps
         self._last_good = self._last = -MAX_PLAUSIBLE_TIME_S
-        self._stale = 0
+        self._first_s, self._stale = 0.0, 0
         self.n_stamped = 0
         self.n_repaired = 0
 
     def time(self, index: int, stamp_s: float) -> float:
         """Time of frame `index` in seconds, given its timestamp (NaN if missing)."""
-        if self._last < stamp_s <= MAX_PLAUSIBLE_TIME_S:
+        if self._last + LEAST_STEP_S <= stamp_s <= MAX_PLAUSIBLE_TIME_S:
             self.n_stamped += index > 0
+            self._first_s = self._first_s if index else stamp_s
             self._stale = 0
             self._last_good = self._last = stamp_s
             return stamp_s
         self.n_repaired += 1
         self._stale += 1
         if self.n_stamped == 0:  # no frame after the first had a timestamp
-            time_s = index * self._interval
+            time_s = self._first_s + index * self._interval
         else:  # half an interval at first, to stay below the next good timestamp
             time_s = self._last_good + (self._stale - 0.5) * self._interval
-        self._last = max(time_s, math.nextafter(self._last, math.inf))
+        self._last = max(time_s, self._last + LEAST_STEP_S)
         return self._last
 
     def report(self) -> str | None:

@@ -120,7 +120,8 @@ class Recording:
                 if is_first:  # a record without rows is not a result
                     self._write_record()
             if answer.event == END and answer.span is not None and self._files:
-                self._write_line(ALARMS, map(csv.cell, answer.span.to_dict().values()))
+                row = csv.cells(csv.ALARM_COLUMNS, answer.span.to_dict().values())
+                self._write_line(ALARMS, row)
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record()
 
@@ -204,7 +205,7 @@ class Recording:
         self._write_heading(answer.heading, answer.frame.index)
         for name, header in self._headers.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
-            self._write_line(name, map(csv.cell, values))
+            self._write_line(name, csv.cells(header, values))
         self.n_rows, self._last = self.n_rows + 1, (answer.frame.index, answer.frame.time_s)
         if self.n_rows <= MAX_HELD:
             self._rows.append(detection)

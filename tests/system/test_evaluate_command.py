@@ -165,26 +165,37 @@ def test_truth_beside_the_labels_justifies_alarms(runs, footage, tmp_path):
     n_false, none = counts()
     assert n_false > 0 == none
     (tmp_path / "truth").mkdir()
-    lines = ["frame,time_s,distance_m,closing_m_s", "0,0,,", "9,0.36,2,1", "11,0.44,2,0.91,x"]
+    lines = ["frame,time_s,distance_m,closing_m_s", "0,0,,", "9,0.36,2,1", "11,0.44,2,0.91"]
     (tmp_path / "truth/near.csv").write_text("\n".join(lines))
     assert counts() == (0, n_false)
     assert {row["kind"] for row in csv_rows("ev/alarms.csv")} == {"justified"}
     (tmp_path / "truth/near.csv").write_text("\n".join([*lines, "999,40,,"]))
     counts()
-    told_of = ["more than the video has frames; check that they belong" in text for text in told]
-    assert told_of == [False, False, True] and "Warning: truth/near.csv has " in told[-1]
+    (tmp_path / "truth/near.csv").write_text(
+        "\n".join(line.replace("0.44", "0.9") for line in lines)
+    )
+    counts()
+    told_of = ["check that they belong together" in text for text in told]
+    assert told_of == [False, False, True, True]
+    assert "truth/near.csv has 1 row more than the video has frames" in told[2]
+    assert "truth/near.csv has frame 11 at 0.900 s, the video at 0.440 s" in told[3]
 
 
 def test_which_frames_of_a_truth_are_near(tmp_path):
     path = tmp_path / "near.csv"
     rows = ["0,0.1,0.045,x", "1,0.1,0.0449,x", "2,,1,x", "3,1,,x", "4,1,-1,x", "5,0,0.1,x"]
     path.write_text("frame,distance_m,closing_m_s,more\n" + "\n".join(rows))
-    assert near_frames(path) == ((0, 5), 6)
+    near, truth = near_frames(path)
+    assert near == (0, 5) and truth.frames.tolist() == [*range(6)]
     head = "frame,distance_m,closing_m_s\n"
     for text, why in (
-        ("frame,closing_m_s\n0,1\n", "lacks one of the columns"),
-        (f"{head}0,far,1\n", "line 2 has a cell that is no number"),
-        (f"{head}0,1,\n,0,1\n", "line 3 has a cell that is no number"),
+        (
+            "frame,closing_m_s\n0,1\n",
+            "truth of a video: it lacks distance_m; its columns are frame",
+        ),
+        (f"{head}0,far,1\n", "line 2, column distance_m: 'far' is no number"),
+        (f"{head}0,1,\n,0,1\n", "line 3, column frame: is no number of a frame"),
+        (f"{head}inf,1,1\n", "line 2, column frame: is no number of a frame"),
     ):
         path.write_text(text)
         with pytest.raises(ResultError, match=why):
@@ -354,10 +365,10 @@ def test_labels_have_speeds_angles_and_starts(tmp_path):
     )
     assert read_cases(path) == [case]
     for cells, why in (
-        ("30,0,", "speed_m_s: 0 is not above 0"),
-        ("30,fast,", "speed_m_s: .* is not a number"),
+        ("30,0,", "speed_m_s: 0.0 is not above 0"),
+        ("30,fast,", "speed_m_s: 'fast' is no number"),
         ("30,,31", "the approach starts after the collision"),
-        ("30,,x", "line 2 is not a label"),
+        ("30,,x", "line 2, column approach_start: 'x' is not a frame"),
     ):
         path.write_text(f"video,collision_frame,speed_m_s,approach_start\na.mp4,{cells}\n")
         with pytest.raises(ResultError, match=why):

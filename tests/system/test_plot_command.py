@@ -179,7 +179,7 @@ def test_where_it_goes(runs):
 
 def test_a_damaged_result_is_one_line_and_the_others_are_drawn(dlgmd):
     make_run("good"), make_run("bad")
-    Path("bad/mp.csv").write_bytes(b"\xff\xd8" * 999)
+    Path("bad/mp.csv").write_bytes(b"\xff\xd8\0" * 999)
     message = "mp.csv: cannot be read (not a CSV file)"
     for order in (["good", "bad"], ["bad", "good"]):
         result = dlgmd("plot", "overview", *order)

@@ -57,6 +57,21 @@ def test_a_bag_gives_what_its_images_give(written, suffix, topic):
 
 
 @pytest.mark.parametrize("suffix", KINDS)
+def test_messages_out_of_order_are_sorted_by_their_stamps(tmp_path, suffix):
+    images = film(KINDS[suffix], FRAMES)
+    order = np.random.default_rng(1).permutation(len(images))
+    mixed = [(START_NS + at, images[number][1]) for at, number in enumerate(order)]
+    path = write_bag(tmp_path / f"x{suffix}", {IMAGE: mixed})
+    with open_video(path) as video:
+        for _ in range(2):
+            frames = list(video)
+            np.testing.assert_array_equal([frame.grey for frame in frames], FRAMES)
+            np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(24) / 30)
+    assert not video.progress.warnings and not video.progress.damage
+    assert video.info.start == {"start_time_utc": "2023-11-14T22:13:20.000000Z"}
+
+
+@pytest.mark.parametrize("suffix", KINDS)
 def test_what_topics_there_are_is_told(written, suffix):
     with pytest.raises(SourceError, match=f"2 topics of images: {IMAGE}, {IMAGE}/compressed"):
         run(written[suffix])

@@ -52,9 +52,9 @@ def test_an_ffi_without_limit_is_read(tmp_path):
     assert read_result(tmp_path).ffi[3] == np.inf
 
 
-def test_times_that_nine_digits_do_not_tell_apart_are_read(tmp_path):
+def test_times_that_nine_digits_do_not_tell_apart_are_kept(tmp_path):
     make_result(np.ones(3), time_s=[0.0, 1e6, 1e6 + 1e-4]).save(tmp_path)
-    assert read_result(tmp_path).time_s.tolist() == [0.0, 1e6, 1e6]
+    assert read_result(tmp_path).time_s.tolist() == [0.0, 1e6, 1e6 + 1e-4]
 
 
 @pytest.fixture

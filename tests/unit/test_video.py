@@ -20,6 +20,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.reduction import Reducer, resized
+from dlgmd_cli.results.csv import cells
 from dlgmd_cli.stream.clock import sampling_step
 from dlgmd_cli.stream.continuity import Continuity
 from dlgmd_cli.video.base import decoder_threads
@@ -171,6 +172,7 @@ def test_a_reduced_image_outlives_the_next_one():
         ([0.0, NAN, NAN, NAN], [0.0, 0.1, 0.2, 0.3], "the stream has no timestamps"),
         ([0.0, 0.1, 0.1, 0.3, NAN, 0.5], [0.0, 0.1, 0.15, 0.3, 0.35, 0.5], "2 frames had"),
         ([0.0, 0.1, NAN, 0.3], [0.0, 0.1, 0.15, 0.3], "1 frame"),
+        ([5.0, NAN, 5.0, 5.0], [5.0, 5.1, 5.2, 5.3], "the stream has no timestamps"),
     ],
 )
 def test_clock(stamps, expected, report):
@@ -183,7 +185,8 @@ def test_clock(stamps, expected, report):
 def test_clock_always_increases(stamps):
     clock = FrameClock(30.0)
     times = [clock.time(i, s) for i, s in enumerate(stamps)]
-    assert all(b > a for a, b in itertools.pairwise(times))
+    texts = [cells(("time_s",), (time_s,))[0] for time_s in times]
+    assert all(b > a for a, b in itertools.pairwise(times)) and len({*texts}) == len(texts)
 
 
 def holes(intervals, fps=30.0, n_short=0):

@@ -145,19 +145,21 @@ def test_what_a_table_of_headings_says(tmp_path):
     known = [frame for frame in range(30) if direction(frame) is not None]
     assert known == [10, 20] and direction(20) == (1.0, 6.0)
     head = "frame,right_deg,up_deg\n"
-    texts = (
-        "frame,up_deg\n1,2\n",
-        f"{head}3,0,0\n3,0,0\n",
-        f"{head}3,inf,0\n",
-        f"{head},0,0\n",
-        head,
-        "",
-    )
-    for text in texts:
+    for text, why in (
+        (
+            "frame,up_deg\n1,2\n",
+            "lacks right_deg; its columns are frame, up_deg",
+        ),
+        (f"{head}3,0,0\n3,0,0\n", "line 3, column frame: is no frame after the one before"),
+        (f"{head}3,inf,0\n", "line 2, column right_deg: is no angle"),
+        (f"{head},0,0\n", "line 2, column frame"),
+        (head, "has no row"),
+        ("", "directions of flight: .*; it has no header"),
+    ):
         path.write_text(text)
-        with pytest.raises(ParameterError, match="directions of flight"):
+        with pytest.raises(ParameterError, match=why):
             read_headings(str(path))
-    with pytest.raises(ParameterError, match="No such file"):
+    with pytest.raises(ParameterError, match="this file is missing"):
         read_headings(str(tmp_path / "none.csv"))
     path.write_text(f"{head}0,0,5\n3,0,5\n4,,\n5,90,0\n9,90,0\n")
     with pytest.warns(
@@ -167,6 +169,9 @@ def test_what_a_table_of_headings_says(tmp_path):
     assert not any("more than the video has frames" in line for line in result.warnings)
     path.write_text(f"{head}0,0,5\n7,0,5\n8,0,5\n999,0,5\n")
     with pytest.warns(DlgmdWarning, match="h.csv has 2 rows more than the video has frames"):
+        run(looming(68, 120, 8, seed=3), fps=30, heading=path)
+    path.write_text("frame,time_s,right_deg,up_deg\n0,1:02:03,0,5\n7,1:02:03.7,0,5\n")
+    with pytest.warns(DlgmdWarning, match="h.csv has frame 7 at 0.700 s, the video at 0.233 s"):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
 
 

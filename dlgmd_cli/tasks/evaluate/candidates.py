@@ -29,7 +29,6 @@ from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
 from dlgmd_cli.tasks.stepping import require_response, run_models
-from dlgmd_cli.video.given_times import surplus
 
 _log = logging.getLogger(__name__)
 
@@ -218,9 +217,11 @@ class Candidates:
             if flow is not None:
                 signal = signal_of(flow, case, self.stopping, flow.mp / flow.n_cells)
                 entries.append((FLOW, flow, None, signal))
-        truth, n_frames = f"{TRUTH}/{PurePath(case.name).stem}.csv", first.record["input"]["frames"]
-        if first.complete and (more := surplus(truth, "row", case.n_truth, n_frames)):
-            warn(more)
+        if case.truth is not None:
+            truth = f"{TRUTH}/{PurePath(case.name).stem}.csv"
+            n_frames = first.record["input"]["frames"] if first.complete else math.inf
+            if line := case.truth.misfit(truth, n_frames, first.frame, first.time_s):
+                warn(line)
         for label, _, params, _ in entries:
             if label in self.by_label and self.by_label[label].params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
