@@ -16,7 +16,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.video.base import openable
+from dlgmd_cli.video.base import MAX_FPS, openable
 from dlgmd_cli.video.images import AS_STORED, ArrayDecoder
 
 TIFF = (".tif", ".tiff")
@@ -29,7 +29,6 @@ _N_SEARCHED = 1 << 23
 _AXES = {"C": "channels", "Z": "slices", "T": "frames"}
 _SECONDS = {"h": 3600.0, "min": 60.0, "": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "ns": 1e-9}
 _SECONDS |= dict.fromkeys(("us", "µs", "μs", r"\u00B5s"), 1e-6)
-_MAX_FPS = 1e5
 
 
 def n_pages(path: Path) -> int:
@@ -67,7 +66,7 @@ class TiffDecoder(ArrayDecoder):
         else:
             remark = "" if not axes else f"it has {self._n_pages} images, but states {sizes}"
             n_frames, self._times = self._n_pages, []
-        stated_fps = 1.0 / step_s if 1.0 / _MAX_FPS <= step_s < math.inf else None
+        stated_fps = 1.0 / step_s if 1.0 / MAX_FPS <= step_s < math.inf else None
         super().__init__(self._pages(), stated_fps or fps, str(path), "tiff")
         self.info = replace(self.info, fps_stated=stated_fps, n_frames=n_frames, remark=remark)
 

@@ -158,8 +158,8 @@ PLANES = "".join(
         (imagej(slices=20, finterval=0, fps=25), [0.04 * number for number in range(20)]),
         (imagej(slices=20, finterval=2, tunit="min"), [120.0 * number for number in range(20)]),
         (
-            ome_axes("XYCZT", frames=20, more='TimeIncrement="50" TimeIncrementUnit="&#181;s"'),
-            [5e-5 * number for number in range(20)],
+            ome_axes("XYCZT", frames=20, more='TimeIncrement="500" TimeIncrementUnit="&#181;s"'),
+            [5e-4 * number for number in range(20)],
         ),
         (
             ome_axes("XYCZT", frames=20, more='TimeIncrement="9"', content=PLANES),
