@@ -15,6 +15,7 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, warn
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.tables import EMPTY, PLAIN, TextTable, listed, read_table, thousands
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import ANGLES
@@ -27,11 +28,11 @@ from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 _log = logging.getLogger(__name__)
 
 LABELS, TRUTH = "labels.csv", "truth"
-# The required columns; the columns of words and of numbers, which may be missing or empty.
+# The required columns; the columns of words, and those that are parsed, which may be empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
 _FRAMES = ("collision_frame", "approach_start")
-_COLUMNS = ("video", *_FRAMES, *_NUMBERS, *WORDS)
+_COLUMNS = ("video", *_FRAMES, *_NUMBERS, "brake", *WORDS)
 # The columns of a truth that are read. The true rate (1/s), closing speed over distance, at or
 # above which an alarm is justified.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
@@ -64,6 +65,8 @@ class Label:
         The speed at the collision, in m/s; None if unknown.
     approach_start : int or None
         The frame at which the approach begins; None if unknown.
+    brake : str
+        Who brakes, as `Brake.parse` reads it; empty if unknown.
     """
 
     video: str
@@ -76,6 +79,7 @@ class Label:
     camera_tilt: float | None = None
     speed_m_s: float | None = None
     approach_start: int | None = None
+    brake: str = ""
 
 
 # The columns that group videos. Two further groups: all collisions, and all but those with a wall.
@@ -88,10 +92,10 @@ ByVideo = dict[str, list[Label]]
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
-    """Write labels as CSV, without columns of numbers that no label has; OSError passes through."""
+    """Write labels as CSV, without optional columns that no label has; OSError passes through."""
     every = [*labels]
     plain = (*_NEEDED, *WORDS)
-    columns = [c for c in _COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
+    columns = [c for c in _COLUMNS if c in plain or {getattr(x, c) for x in every} - {None, ""}]
     write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
@@ -211,7 +215,17 @@ def _label(
         except ParameterError as error:
             raise table.at(row, name, error.why, error.hint) from None
     (target, kind, manner), (fov, tilt, speed) = (cells[name] for name in WORDS), measured
-    return Label(cells["video"], collision, target, kind, manner, (), fov, tilt, speed, start)
+    brake = _brake(table, row, cells["brake"])
+    known = fov, tilt, speed, start, brake
+    return Label(cells["video"], collision, target, kind, manner, (), *known)
+
+
+def _brake(table: TextTable, row: int, cell: str) -> str:
+    """The cell that says who brakes; raises ResultError if `Brake.parse` does not know it."""
+    try:
+        return cell and Brake.parse(cell).text
+    except ParameterError as error:
+        raise table.at(row, "brake", error.why, error.hint) from None
 
 
 def _frame(table: TextTable, row: int, name: str, cell: str) -> int | None:

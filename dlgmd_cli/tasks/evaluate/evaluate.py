@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
-from dlgmd_cli.models.stopping import brakes_of, speed_of
+from dlgmd_cli.models.stopping import BRAKES, brake_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
@@ -62,7 +62,7 @@ def evaluate(
     max_false_per_min: float = 1.0,
     speed_m_s: float | None = None,
     react: float = 0.1,
-    brake: float | None = None,
+    brake: str | float | None = None,
     tilt: float | None = None,
     jerk: float | None = None,
     baselines: bool = True,
@@ -81,7 +81,8 @@ def evaluate(
     ----------
     labels : str or path
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
-        ``speed_m_s``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are optional.
+        ``speed_m_s``, ``brake``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are
+        optional.
         True distances in the folder ``truth`` beside the CSV can justify an alarm.
     model, formulation, param
         The models, as in `run`. Their labels include the parameters in `param`.
@@ -91,10 +92,10 @@ def evaluate(
         Greatest number of false alarms per minute that the best threshold may have.
     speed_m_s : float, optional
         The speed at every contact, in place of the speeds in the labels.
-    react, brake, tilt, jerk : float
-        A drone's braking, see `stop_s`. After `react` seconds, the drone decelerates with `brake`
-        in m/s² at once, or with a `tilt` in degrees (25 unless given) that it reaches with a `jerk`
-        in m/s³ (8).
+    react, brake, tilt, jerk : float or str
+        Who brakes, `react` seconds after the alarm, as `models.stopping.Brake.parse` reads it:
+        ``"arducopter:20"`` (unless given), ``"px4"``, ``"1.7s"``, a deceleration in m/s². Or a
+        controller of one's own, with a `tilt` in degrees (25) and a `jerk` in m/s³ (8).
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
@@ -130,8 +131,11 @@ def evaluate(
     """
     max_false_per_min = false_per_min(max_false_per_min)
     speed = speed_of(speed_m_s)
-    brakes = brakes_of(react, brake, tilt, jerk)
-    stopping = Stopping(brakes, None if speed is None else float(speed))
+    stopping = Stopping(
+        brake_of(brake, react, tilt, jerk),
+        None if speed is None else float(speed),
+        for_all=(brake, tilt, jerk) != (None, None, None),
+    )
     if results is not None:
         given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
         refuse({**given, **options}, "does not work with results, which are there already")
@@ -310,7 +314,7 @@ class Evaluation(Outcome):
             **self.counts(),
             "max_false_per_min": self.max_false_per_min,
             **speed,
-            "brakes": str(stopping.brakes),
+            "brake": str(stopping.brake),
             "models": [candidate.described() for candidate in candidates],
             "options": next(iter(candidates)).record.get("options", {}),
         }
@@ -436,14 +440,23 @@ class Evaluation(Outcome):
         return label if self.main(label)["at"] == DEFAULT else f"{label} *"
 
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
-        """The outcomes of the contacts, and the number of justified alarms."""
+        """The outcomes of the contacts, justified alarms, and contacts in time by who brakes."""
         names = [*reversed(OUTCOMES), "justified"]
-        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brakes}:"
+        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brake}:"
         cells = [
             (row["model"], tables.threshold_cell(row), *(str(row[name]) for name in names))
             for row in rows
         ]
         yield ("model", "threshold", *(name.replace("_", " ") for name in names)), cells
+
+        if self._word == "announced":
+            return
+        yield "In time by who brakes, and the threshold that the fastest contact needs:"
+        cells = [
+            (row["model"], tables.threshold_cell(row), *(tables.brake_text(row, k) for k in BRAKES))
+            for row in rows
+        ]
+        yield ("model", "threshold", *(brake.text for brake in BRAKES.values())), cells
 
     def _shown_by(self, word: str) -> Iterator[Shown]:
         """Hits and false alarms of all models, grouped by target, kind or manner."""
@@ -492,4 +505,5 @@ class Evaluation(Outcome):
 def _json(row: Row) -> dict[str, Json]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
-    return {**at, "threshold": finite(row["threshold"]), **scores_json(row)}
+    needed = {f"threshold_{name}": finite(row[f"threshold_{name}"]) for name in BRAKES}
+    return {**at, "threshold": finite(row["threshold"]), **scores_json(row), **needed}

@@ -10,6 +10,7 @@ import numpy as np
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.models.stopping import BRAKES, MARGIN_S
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, VideoGroup
@@ -69,7 +70,22 @@ def score_rows(
             "excitation": candidate.excitation(strength),
             "n_sp": candidate.n_sp,
             **scoring.score([tallies[i].only(flags) for i, flags in numbers.items()]),
+            **_needed(candidate),
         }
+
+
+def _needed(candidate: Candidate) -> dict[str, float]:
+    """`threshold_arducopter` and so on: the threshold for the longest stop by each of `BRAKES`.
+
+    NaN without a speed, and if the threshold of the rule means no time before a contact.
+    """
+    contacts = [contact for signal in candidate.signals.values() for contact in signal.contacts]
+    stops_s = [contact.stops_s for contact in contacts if contact.has_speed]
+    rule, names = candidate.rule, [f"threshold_{name}" for name in BRAKES]
+    if rule is None or not rule.follows_speed or not stops_s:
+        return dict.fromkeys(names, math.nan)
+    needed_s = np.max(stops_s, axis=0) + MARGIN_S
+    return {name: rule.threshold_at(s) for name, s in zip(names, needed_s.tolist(), strict=True)}
 
 
 def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
@@ -165,6 +181,13 @@ def false_text(row: Scores) -> str:
         return "–"
     bounds = "" if math.isnan(low) else f" ({low:.2g}–{high:.2g})"
     return f"{row['false_alarms']} in {row['minutes']:.3g}: {rate:.2g}{bounds}"
+
+
+def brake_text(row: Row, name: str) -> str:
+    """Cell of a table: the contacts in time for a stop by one of `BRAKES`, and its threshold."""
+    needed = row[f"threshold_{name}"]
+    with_unit = "" if math.isnan(needed) else rule_named(row["rule"]).with_unit(f"{needed:.3g}")
+    return f"{row[f'in_time_{name}']}" + (with_unit and f" (needs {with_unit})")
 
 
 def threshold_cell(row: Row) -> str:
