@@ -167,7 +167,7 @@ class Alarm:
         self._expansion.ignore(small)
         self._to_hide = hidden if small is None else None
         self._health.ignore(hidden)
-        self._continuity.ignore(hidden)
+        self._continuity.begin(hidden)
 
     def step(
         self,

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError, argument
+from dlgmd_cli.frame import FULL, Levels
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.parameters.facts import InputFacts
@@ -111,8 +112,11 @@ class SourceInfo:
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    Only PyAV fills in the next five, also where OpenCV decodes: FFmpeg's name of the pixel format,
-    the bits per sample, why OpenCV would decode wrong grey levels (`misread`, empty if it would
+    `levels` are those of black and white of the images as they are decoded, and `bits` the bits per
+    sample that the source states; with a bit depth given, its levels are in `Video.info`.
+
+    Of video, only PyAV fills in `bits` and the next four, also where OpenCV decodes: FFmpeg's name
+    of the pixel format, why OpenCV would decode wrong grey levels (`misread`, empty if it would
     not), the angle in degrees by which the images are turned clockwise to be upright, as the file
     asks, and whether they are then mirrored. `transfer` is FFmpeg's name of the transfer (such as
     bt709, or smpte2084 of HDR), empty for none.
@@ -133,6 +137,7 @@ class SourceInfo:
     remark: str = ""
     pixel_format: str = ""
     bits: int | None = None
+    levels: Levels = FULL
     misread: str = ""
     turned_deg: int | None = None
     is_mirrored: bool | None = None

@@ -43,6 +43,11 @@ class BlindSpans:
     that of the image before. A camera's noise prevents both, also at night. A span lasts at least
     0.7 s. Whole images are compared only while 16 of their rows are equal.
 
+    Parameters
+    ----------
+    black : int
+        The level of black.
+
     Attributes
     ----------
     throughout : str
@@ -51,7 +56,8 @@ class BlindSpans:
         Number of images that equal the one before, and of runs of such images.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, black: int = 0) -> None:
+        self._black = black
         self._rows: Image | None = None
         self._whole: Image | None = None
         self._first_s = self._last_s = self._since_s = math.nan
@@ -60,18 +66,17 @@ class BlindSpans:
         self._was_equal = False
         self._spans: dict[tuple[str, float], float] = {}
 
-    def step(self, picture: Image, time_s: float, black: int = 0) -> None:
+    def step(self, picture: Image, time_s: float) -> None:
         """Judge the next image.
 
         `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced images may lose their
-        noise. The caller may reuse the array afterwards. `time_s` is its time in seconds, and
-        `black` the level of black.
+        noise. The caller may reuse the array afterwards. `time_s` is its time in seconds.
         """
         rows = picture[:: max(1, len(picture) // _N_ROWS)]
         was_equal, is_equal = self._was_equal, self._is_equal(picture, rows)
         self.n_equal, self.n_runs = self.n_equal + is_equal, self.n_runs + (is_equal > was_equal)
         self._was_equal = is_equal
-        is_black = rows.max() <= black and picture.max() <= black
+        is_black = rows.max() <= self._black and picture.max() <= self._black
         suspected = "black" if is_black else "frozen" if is_equal else ""
         if suspected != self._suspected:
             # A frozen span begins with the image that the first equal image repeats.
@@ -149,10 +154,10 @@ def is_combed(decoder: Decoder) -> bool:
             n_left_out -= 1
             continue
         try:
-            image, levels = decoder.picture()
+            image = decoder.picture()
         except Unreadable:
             break
-        grey = to_grey_levels(image, levels)
+        grey = to_grey_levels(image, decoder.info.levels)
         if before is not None and not _moves(before, grey):
             before, n_left_out = None, _REST
             continue

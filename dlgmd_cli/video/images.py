@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError, counted
-from dlgmd_cli.frame import Image
+from dlgmd_cli.frame import Image, Levels
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.video.base import (
     MAX_SIDE,
@@ -81,14 +81,15 @@ class ImageDecoder(_Series):
         kind = paths[0].suffix[1:].lower()
         self._places = numbered_places(paths)
         height, width = first.shape[:2]
-        self.info = SourceInfo(width, height, fps, len(paths), codec=kind)
+        bits, levels = depth_of(first)
+        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, bits=bits, levels=levels)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds: images missing by their names leave gaps."""
         for place, _ in zip(self._places, super().stamps(), strict=True):
             yield place / self._fps
 
-    def picture(self) -> tuple[Image, None]:
+    def picture(self) -> Image:
         """The image of the latest timestamp; raises Unreadable."""
         try:
             image = read_image(self._latest)
@@ -98,7 +99,15 @@ class ImageDecoder(_Series):
         if (width, height) != self.info.size_wh:
             expected = f"{self.info.width}x{self.info.height}"
             raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
-        return image, None
+        if (bits := depth_of(image)[0]) != self.info.bits:
+            raise Unreadable(f"{self._latest.name} has {bits} bits, not {self.info.bits}")
+        return image
+
+
+def depth_of(image: Image) -> tuple[int, Levels]:
+    """Bits per sample and levels of an image whose samples use the full range of their type."""
+    bits = 8 * image.itemsize
+    return bits, (0, 1) if image.dtype.kind == "f" else (0, (1 << bits) - 1)
 
 
 def read_image(path: Path) -> Image:
@@ -230,7 +239,8 @@ class ArrayDecoder(_Series):
             raise SourceError(name, "holds no frames", "An iterator can be read only once.")
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
-        height, width = self._checked().shape[:2]
+        checked = self._checked()
+        height, width = checked.shape[:2]
         # All images of an integer array have one type: only lists and floats can go wrong later.
         is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
         if is_whole and isinstance(images, np.ndarray | list | tuple):
@@ -238,11 +248,14 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = _axes_remark(shape) if shape is not None else ""
-        self.info: SourceInfo = SourceInfo(width, height, fps, n_frames, codec=codec, remark=remark)
+        bits, levels = depth_of(checked)
+        self.info = SourceInfo(
+            *(width, height, fps, n_frames, codec), remark=remark, bits=bits, levels=levels
+        )
 
-    def picture(self) -> tuple[Image, None]:
+    def picture(self) -> Image:
         """The latest image; raises SourceError if its shape, type or values are wrong."""
-        return self._checked(), None
+        return self._checked()
 
     def _checked(self) -> Image:
         """The latest image as uint8, uint16 or float32; raises SourceError."""

@@ -123,7 +123,7 @@ def survey(
             for picture in video.pictures():
                 n_gaps += picture.after_gap
                 if not picture.is_repeat:
-                    grey = to_grey_levels(picture.image, picture.levels)
+                    grey = to_grey_levels(picture.image, video.info.levels)
                     darkest, brightest = extremes or (grey, grey)
                     extremes = cv2.min(darkest, grey), cv2.max(brightest, grey)
                 on_frame(picture.index + 1)
