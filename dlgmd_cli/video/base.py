@@ -61,6 +61,8 @@ _KEEPING = """
     tiff tif tga targa bmp pbm pgm ppm pnm
 """
 _LOSSLESS = frozenset(_KEEPING.split())
+# The signal of reference white as a share of the range of HDR, by transfer [ITU-R BT.2408].
+_REFERENCE_WHITE = {"smpte2084": 0.58, "arib-std-b67": 0.75}
 # The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # User names and passwords in a URL: the text before the host, and values whose key looks secret.
@@ -153,6 +155,12 @@ class SourceInfo:
     def size_wh(self) -> tuple[int, int]:
         """Width and height of the source's images, in px."""
         return self.width, self.height
+
+    @property
+    def diffuse_levels(self) -> Levels:
+        """The levels of black and of reference white, which only the highlights of HDR exceed."""
+        black, white = self.levels
+        return black, round(black + _REFERENCE_WHITE.get(self.transfer, 1.0) * (white - black))
 
     @property
     def is_lossless(self) -> bool:

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import GreyImage, Image
-from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.errors import argument
+from dlgmd_cli.frame import Flags, GreyImage, Image, Levels
+from dlgmd_cli.video.base import Crop, Unreadable
 from dlgmd_cli.video.luma import Decoder, to_grey_levels
 
 # Least duration of a black or frozen span. A cut to black, or a duplicate frame, is shorter.
@@ -34,6 +35,16 @@ _LEAST_SHARE, _LEAST_JUDGED = 0.005, 0.03
 _MOTION, _MOTION_LINES, _N_JUDGED, _MOST, _N_COMBED = 2.0, 0.8, 12, 600, 3
 # Number of images that are skipped while nothing moves.
 _REST = 4
+# Grey levels (of 255) of the brightest black bar: compression makes it brighter. A row or column
+# is part of the picture if more than this share of its pixels is lit.
+_BLACK, _LIT_SHARE = 24, 0.01
+# Least width of a bar in px, and the least share of each side that a crop keeps.
+_MIN_BAR_PX, _MIN_LEFT = 2, 0.3
+# A constant pixel varies by at most this many grey levels. A picture is small if it fills at most
+# `_SMALL` of the images; if less than `_FILLED` of it differs from the rest, it is an object.
+_CONSTANT, _SMALL, _FILLED = 8, 0.55, 0.5
+# Number of images before a picture counts as small.
+_FEW = 8
 
 
 class BlindSpans:
@@ -120,6 +131,76 @@ class BlindSpans:
             self._whole = picture.copy()
             return False
         return True
+
+
+class Surround:
+    """Finds a picture that fills a small part of the images while the rest is one constant level.
+
+    `levels` are those of black and white. The images 1, 2, 4, 8 … are looked at.
+    """
+
+    def __init__(self, levels: Levels) -> None:
+        self._levels, self._n_images = levels, 0
+        self._first: Image | None = None
+
+    def step(self, image: Image) -> None:
+        """Look at the next image, (H, W) or (H, W, 3), as it was decoded."""
+        self._n_images += 1
+        if self._n_images & (self._n_images - 1):
+            return
+        self._last = grey = to_grey_levels(image, self._levels)
+        if self._first is None:
+            self._first = self._darkest = self._brightest = grey
+        self._darkest = cv2.min(self._darkest, grey)
+        self._brightest = cv2.max(self._brightest, grey)
+
+    def report(self) -> str:
+        """The warning that names the picture's crop; empty if the picture is not small."""
+        if self._first is None or self._n_images < _FEW:
+            return ""
+        height, width = self._first.shape
+        for level in {int(self._first[y, x]) for y in (0, -1) for x in (0, -1)}:
+            crop = crop_of(_differs(self._darkest, level) | _differs(self._brightest, level))
+            if crop is None or crop.width * crop.height > _SMALL * width * height:
+                continue
+            place = np.s_[crop.y : crop.y + crop.height, crop.x : crop.x + crop.width]
+            shares = [_differs(one[place], level).mean() for one in (self._first, self._last)]
+            if min(shares) > _FILLED:
+                keeps = f"{argument('crop', str(crop))} keeps the picture"
+                return f"the picture is small, and the rest of the frame is constant; {keeps}"
+        return ""
+
+
+def _differs(grey: Image, level: int) -> Flags:
+    """Whether each pixel differs from a level by more than compression explains."""
+    return np.abs(grey.astype(np.int16) - level) > _CONSTANT
+
+
+def crop_borders(brightest: Image) -> Crop | None:
+    """The crop of an image, (H, W), inside borders that are never brighter than black.
+
+    None if there are no borders, or if the crop would be too small.
+    """
+    crop = crop_of(brightest > _BLACK)
+    if crop is None or crop.width < _MIN_LEFT * brightest.shape[1]:
+        return None
+    return None if crop.height < _MIN_LEFT * brightest.shape[0] else crop
+
+
+def crop_of(lit: Flags) -> Crop | None:
+    """The crop inside the borders of an image, (H, W), where few pixels are lit; None for none."""
+    spans = []
+    for axis in (0, 1):
+        lines = np.flatnonzero(lit.mean(axis=axis) > _LIT_SHARE)
+        side = lit.shape[1 - axis]
+        if not lines.size:
+            return None
+        first, last = int(lines[0]), int(lines[-1]) + 1
+        first = first if first >= _MIN_BAR_PX else 0
+        spans.append((first, last if side - last >= _MIN_BAR_PX else side))
+    (left, right), (top, bottom) = spans
+    crop = Crop(right - left, bottom - top, left, top)
+    return None if (crop.height, crop.width) == lit.shape else crop
 
 
 def has_comb(grey: npt.NDArray[np.uint8]) -> bool:

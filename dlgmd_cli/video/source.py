@@ -21,7 +21,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.stream.continuity import Continuity
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
-from dlgmd_cli.video.content import BlindSpans
+from dlgmd_cli.video.content import BlindSpans, Surround
 from dlgmd_cli.video.damage import PAUSE, lost_frames, missing_frames
 from dlgmd_cli.video.given_times import GivenTimes
 from dlgmd_cli.video.luma import Decoder, Region, grey_at_sizes, to_bgr
@@ -196,15 +196,12 @@ class Video:
         selection, clock, given = copy.copy(self._selection), FrameClock(fps), self._given
         file_times = array("d")
         times = array("d") if given else file_times
-        levels = self.info.levels
-        spans, continuity = (
-            BlindSpans(levels[0]),
-            Continuity(
-                skips_repeats=self._skips_repeats,
-                is_coded=not self.info.is_lossless,
-                hidden=self.hidden(self.source_wh),
-                levels=levels,
-            ),
+        spans, surround = BlindSpans(self.info.levels[0]), Surround(self.info.levels)
+        continuity = Continuity(
+            skips_repeats=self._skips_repeats,
+            is_coded=not self.info.is_lossless,
+            hidden=self.hidden(self.source_wh),
+            levels=self.info.diffuse_levels,
         )
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
@@ -241,6 +238,7 @@ class Video:
                 self._look(image)
                 image = self.region.of(image)
                 spans.step(image, time_s)
+                surround.step(image)
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
                 continue
@@ -258,7 +256,7 @@ class Video:
             fault = holes.report() or fault
             n_frames = len(times) + holes.n_frames
             self._given_report = given.report(n_frames) if given else ""
-        self._report(fault, times, spans, clock, n_short)
+        self._report(fault, times, spans, surround, clock, n_short)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
@@ -267,6 +265,7 @@ class Video:
         fault: str,
         times: "array[float]",
         spans: BlindSpans,
+        surround: Surround,
         clock: FrameClock,
         n_short: int | None,
     ) -> None:
@@ -285,7 +284,9 @@ class Video:
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated and not self._given else None
         repetition = self._repetition(spans)
-        reports = stamps, self._given_report, missing, repetition, blind, ending, light
+        is_whole = self.region.is_whole and not spans.throughout
+        small = surround.report() if is_whole else ""
+        reports = stamps, self._given_report, missing, repetition, blind, ending, light, small
         # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
@@ -341,7 +342,7 @@ class Video:
             too_bright = f"samples up to {brightest} are cut off at white by {cut_by}"
             return too_bright if brightest > white else ""
         bits = max(8, brightest.bit_length())
-        if self.info.bits != 16 or brightest <= black or bits > _FEW_BITS:
+        if self.info.bits != 16 or brightest in (0, black) or bits > _FEW_BITS:
             return ""
         why = f"all samples of 16 bits are {brightest} or less, where white is {white}"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
