@@ -201,7 +201,8 @@ def read_mask(path: str) -> Flags:
         hint = "Give a PNG whose black is left out."
         raise ParameterError("", f"{argument('mask')} {path} {why}", hint) from None
     brightest = image.max(axis=2) if image.ndim == 3 else image
-    return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
+    white = (1 << int(image.max()).bit_length()) - 1  # 1 and 255 are white, too, also of 16 bits
+    return np.asarray(brightest <= white // 2)
 
 
 class Region:

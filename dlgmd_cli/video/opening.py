@@ -129,8 +129,8 @@ def open_video(
     decoder : {"opencv", "pyav"}
         Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
         ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
-        codecs that OpenCV lacks, HDR, grey video whose black is not 0, and files whose default
-        video stream is not the first.
+        codecs that OpenCV lacks, HDR, 16 bits, grey video whose black is not 0, files whose default
+        video stream is not the first, and whatever has a `bit_depth`.
     crop : str, optional
         The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
