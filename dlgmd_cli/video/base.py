@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypedDict
 
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.frame import FULL, Levels
 from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.parameters.facts import InputFacts
@@ -139,7 +138,7 @@ class SourceInfo:
     remark: str = ""
     pixel_format: str = ""
     bits: int | None = None
-    levels: Levels = FULL
+    levels: tuple[int, int] = (0, 255)
     misread: str = ""
     turned_deg: int | None = None
     is_mirrored: bool | None = None
@@ -157,7 +156,7 @@ class SourceInfo:
         return self.width, self.height
 
     @property
-    def diffuse_levels(self) -> Levels:
+    def diffuse_levels(self) -> tuple[int, int]:
         """The levels of black and of reference white, which only the highlights of HDR exceed."""
         black, white = self.levels
         return black, round(black + _REFERENCE_WHITE.get(self.transfer, 1.0) * (white - black))
