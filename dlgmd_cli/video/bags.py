@@ -11,8 +11,8 @@ import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
-from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
-from dlgmd_cli.video.images import depth_of, image_of
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, Unreadable, plausible_fps
+from dlgmd_cli.video.images import image_of, info_of, require_like
 from dlgmd_cli.video.timestamps import steady_fps
 
 NAME = "rosbags"
@@ -103,16 +103,12 @@ class BagDecoder:
             if next(self.stamps(), None) is None:
                 raise Unreadable("no message could be read, the file is damaged")
             first = decoded(self._message)
-            (height, width), (bits, levels) = first.shape[:2], depth_of(first)
             stamps = list(islice(self.stamps(), _N_FIRST))
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
             codec = getattr(self._message, "encoding", "") or self._message.format
-            n_frames = known[topic].msgcount
-            self.info = SourceInfo(
-                width, height, fps, n_frames, codec=codec, bits=bits, levels=levels
-            )
+            self.info = info_of(first, fps, known[topic].msgcount, codec)
         except BaseException as error:
             self.close()
             if isinstance(error, Unreadable):
@@ -140,12 +136,8 @@ class BagDecoder:
 
     def picture(self) -> Image:
         """The image of the latest message; raises Unreadable if undecodable or of another kind."""
-        image, info = decoded(self._message), self.info
-        if image.shape[1::-1] != info.size_wh:
-            size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
-            raise Unreadable(f"the size changes from {before} to {size}")
-        if (bits := depth_of(image)[0]) != info.bits:
-            raise Unreadable(f"the samples change from {info.bits} to {bits} bits")
+        image = decoded(self._message)
+        require_like(image, self.info, "an image")
         return image
 
     def close(self) -> None:

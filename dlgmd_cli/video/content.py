@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import argument
 from dlgmd_cli.frame import Flags, GreyImage, Image, Levels
 from dlgmd_cli.video.base import Crop, Unreadable
-from dlgmd_cli.video.luma import Decoder, to_grey_levels
+from dlgmd_cli.video.luma import Decoder, Region, to_grey_levels
 
 # Least duration of a black or frozen span. A cut to black, or a duplicate frame, is shorter.
 BLIND_S = 0.7
@@ -136,44 +136,33 @@ class BlindSpans:
 class Surround:
     """Finds a picture that fills a small part of the images while the rest is one constant level.
 
-    `levels` are those of black and white. The images 1, 2, 4, 8 … are looked at.
+    `levels` are those of black and white. Of the images 1, 2, 4, 8 …, the first and the last count.
     """
 
     def __init__(self, levels: Levels) -> None:
-        self._levels, self._n_images = levels, 0
-        self._first: Image | None = None
+        self._levels, self._n_images, self._kept = levels, 0, list[Image]()
 
     def step(self, image: Image) -> None:
         """Look at the next image, (H, W) or (H, W, 3), as it was decoded."""
         self._n_images += 1
-        if self._n_images & (self._n_images - 1):
-            return
-        self._last = grey = to_grey_levels(image, self._levels)
-        if self._first is None:
-            self._first = self._darkest = self._brightest = grey
-        self._darkest = cv2.min(self._darkest, grey)
-        self._brightest = cv2.max(self._brightest, grey)
+        if self._n_images & (self._n_images - 1) == 0:
+            self._kept[1:] = [to_grey_levels(image, self._levels)]
 
     def report(self) -> str:
         """The warning that names the picture's crop; empty if the picture is not small."""
-        if self._first is None or self._n_images < _FEW:
+        if self._n_images < _FEW:
             return ""
-        height, width = self._first.shape
-        for level in {int(self._first[y, x]) for y in (0, -1) for x in (0, -1)}:
-            crop = crop_of(_differs(self._darkest, level) | _differs(self._brightest, level))
-            if crop is None or crop.width * crop.height > _SMALL * width * height:
+        first = self._kept[0]
+        for level in {int(first[y, x]) for y in (0, -1) for x in (0, -1)}:
+            lit = [np.abs(np.int16(one) - level) > _CONSTANT for one in self._kept]
+            crop = crop_of(np.logical_or(*lit))
+            if crop is None or crop.width * crop.height > _SMALL * first.size:
                 continue
-            place = np.s_[crop.y : crop.y + crop.height, crop.x : crop.x + crop.width]
-            shares = [_differs(one[place], level).mean() for one in (self._first, self._last)]
-            if min(shares) > _FILLED:
+            picture = Region((first.shape[1], first.shape[0]), crop)
+            if min(picture.of(one).mean() for one in lit) > _FILLED:
                 keeps = f"{argument('crop', str(crop))} keeps the picture"
                 return f"the picture is small, and the rest of the frame is constant; {keeps}"
         return ""
-
-
-def _differs(grey: Image, level: int) -> Flags:
-    """Whether each pixel differs from a level by more than compression explains."""
-    return np.abs(grey.astype(np.int16) - level) > _CONSTANT
 
 
 def crop_borders(brightest: Image) -> Crop | None:

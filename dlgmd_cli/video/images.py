@@ -5,6 +5,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence, Sized
+from dataclasses import replace
 from pathlib import Path
 from statistics import mode
 from typing import Any
@@ -13,7 +14,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError, counted
-from dlgmd_cli.frame import Image, Levels
+from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.video.base import (
     MAX_SIDE,
@@ -80,9 +81,7 @@ class ImageDecoder(_Series):
             raise SourceError(str(paths[0]), str(error), hint) from None
         kind = paths[0].suffix[1:].lower()
         self._places = numbered_places(paths)
-        height, width = first.shape[:2]
-        bits, levels = depth_of(first)
-        self.info = SourceInfo(width, height, fps, len(paths), codec=kind, bits=bits, levels=levels)
+        self.info = info_of(first, fps, len(paths), kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds: images missing by their names leave gaps."""
@@ -95,19 +94,25 @@ class ImageDecoder(_Series):
             image = read_image(self._latest)
         except Unreadable as error:
             raise Unreadable(f"{self._latest.name} {error}") from None
-        height, width = image.shape[:2]
-        if (width, height) != self.info.size_wh:
-            expected = f"{self.info.width}x{self.info.height}"
-            raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
-        if (bits := depth_of(image)[0]) != self.info.bits:
-            raise Unreadable(f"{self._latest.name} has {bits} bits, not {self.info.bits}")
+        require_like(image, self.info, self._latest.name)
         return image
 
 
-def depth_of(image: Image) -> tuple[int, Levels]:
-    """Bits per sample and levels of an image whose samples use the full range of their type."""
-    bits = 8 * image.itemsize
-    return bits, (0, 1) if image.dtype.kind == "f" else (0, (1 << bits) - 1)
+def info_of(first: Image, fps: float | None, n_frames: int | None, codec: str) -> SourceInfo:
+    """The description of images like the first one, whose samples use all bits of their type."""
+    height, width = first.shape[:2]
+    bits = 8 * first.itemsize
+    levels = (0, 1) if first.dtype.kind == "f" else (0, (1 << bits) - 1)
+    return SourceInfo(width, height, fps, n_frames, codec, bits=bits, levels=levels)
+
+
+def require_like(image: Image, info: SourceInfo, name: str) -> None:
+    """Raise Unreadable if an image has another size or other bits than the first one."""
+    (height, width), bits = image.shape[:2], 8 * image.itemsize
+    if (width, height) != info.size_wh:
+        raise Unreadable(f"{name} is {width}x{height}, not {info.width}x{info.height}")
+    if bits != info.bits:
+        raise Unreadable(f"{name} has {bits} bits, not {info.bits}")
 
 
 def read_image(path: Path) -> Image:
@@ -240,7 +245,6 @@ class ArrayDecoder(_Series):
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
         checked = self._checked()
-        height, width = checked.shape[:2]
         # All images of an integer array have one type: only lists and floats can go wrong later.
         is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
         if is_whole and isinstance(images, np.ndarray | list | tuple):
@@ -248,10 +252,7 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = _axes_remark(shape) if shape is not None else ""
-        bits, levels = depth_of(checked)
-        self.info = SourceInfo(
-            *(width, height, fps, n_frames, codec), remark=remark, bits=bits, levels=levels
-        )
+        self.info = replace(info_of(checked, fps, n_frames, codec), remark=remark)
 
     def picture(self) -> Image:
         """The latest image; raises SourceError if its shape, type or values are wrong."""

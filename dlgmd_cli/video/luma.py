@@ -211,7 +211,7 @@ class Region:
     The image has the size `picture_wh`, in px. The rectangle is `crop`, inside the image; its size
     is `size_wh`. `masked` is True for black pixels, see `read_mask`. A mask of the image's size is
     cut to the rectangle, also in the attribute `masked`; a mask of any other size is resized to
-    cover the rectangle. `is_whole` says that there is neither a crop nor a mask.
+    cover the rectangle.
     """
 
     def __init__(
@@ -219,10 +219,9 @@ class Region:
     ) -> None:
         width, height, x, y = crop or Crop(*picture_wh, 0, 0)
         self.picture_wh, self.size_wh = picture_wh, (width, height)
-        self.is_whole = crop is None and masked is None
         self._place = np.s_[y : y + height, x : x + width]
-        is_same = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
-        self.masked = self.of(masked) if masked is not None and is_same else masked
+        is_whole = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
+        self.masked = self.of(masked) if masked is not None and is_whole else masked
 
     def of(self, image: Image) -> Image:
         """The rectangle of an image, (H, W) or (H, W, 3); a view."""

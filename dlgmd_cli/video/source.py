@@ -284,8 +284,8 @@ class Video:
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated and not self._given else None
         repetition = self._repetition(spans)
-        is_whole = self.region.is_whole and not spans.throughout
-        small = surround.report() if is_whole else ""
+        is_cut = self.source_wh != self.info.size_wh or self.region.masked is not None
+        small = "" if is_cut or spans.throughout else surround.report()
         reports = stamps, self._given_report, missing, repetition, blind, ending, light, small
         # An input that is read again reports each line once.
         progress.warnings += [line for line in reports if line and line not in progress.warnings]
