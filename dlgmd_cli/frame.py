@@ -13,6 +13,9 @@ Image = npt.NDArray[Any]
 GreyImage = npt.NDArray[np.uint8]
 BgrImage = npt.NDArray[np.uint8]
 FloatImage = npt.NDArray[np.float32]
+# The levels of black and white of an image's samples, and those of 8 bits.
+Levels = tuple[int, int]
+FULL: Levels = (0, 255)
 # Numbers, one per frame, cell or point; arrays of numbers; booleans, one per frame, cell or point.
 Series = npt.NDArray[np.float64]
 FloatArray = npt.NDArray[np.float64]

@@ -451,8 +451,8 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "images]"),
     "times": (_IMAGE_FILE, "FILE", "Table with the time of each frame, one row per frame, in a "
         "column whose name or format says the unit, such as time_s, timestamp_us or hh:mm:ss."),
-    "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits per sample, such as 12, in "
-        "16-bit images, arrays and bags.  [default: 16]"),
+    "bit_depth": (Parsed("N", SPECS["bit_depth"].parse), "N", "Bits that samples really have, "
+        "such as 12, in 16-bit video, images, arrays and bags.  [default: as stated]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "
         "there are several."),
     "decoder": (_choice("decoder"), None, "Library that decodes videos; pyav needs dlgmd[fast]. "

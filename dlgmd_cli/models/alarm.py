@@ -26,6 +26,8 @@ from dlgmd_cli.stream.intake import Intake
 # Frames have an unexpected rate if the rate over _N_INTERVALS intervals differs by more than this
 # factor: 24 to 37.5 frames/s count as 30.
 _OTHER_RATE, _N_INTERVALS = 1.25, 30
+# A luminance above this is no overshoot of a filter.
+_WHITE = 1.5
 
 
 class Alarm:
@@ -167,7 +169,7 @@ class Alarm:
         self._expansion.ignore(small)
         self._to_hide = hidden if small is None else None
         self._health.ignore(hidden)
-        self._continuity.ignore(hidden)
+        self._continuity.begin(hidden)
 
     def step(
         self,
@@ -219,6 +221,7 @@ class Alarm:
         """The frame of an image; None if it is skipped. Warns of missing and of late times."""
         self._index += 1
         grey, small = self._reduced(image, small)
+        self._tell_white(grey)
         placed = self._intake.place(grey if grey.ndim > 1 else None, time_s)
         if doubts := self._intake.doubts():
             warn(f"frames come {doubts}")
@@ -232,6 +235,14 @@ class Alarm:
         return Frame(
             self._index, placed.time_s, grey, placed.is_repeat, placed.after_gap, small=small
         )
+
+    def _tell_white(self, grey: Grey) -> None:
+        """Warn once of numbers far above white, such as levels of 0..255 as float32."""
+        if grey.dtype != np.float32 or not grey.size or "white" in self._told:
+            return
+        if (top := float(grey.max())) > _WHITE:
+            self._told.add("white")
+            warn(f"frames hold numbers up to {top:g}, where white is 1; divide them by their white")
 
     def _hide_small(self, small: Grey) -> None:
         """Hide in the image of the expansion the same parts as in the frames."""

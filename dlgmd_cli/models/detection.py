@@ -158,7 +158,9 @@ class AlarmSpan:
         "strongest `signal` of the alarm: the greatest, with the rule `ttc` the least",
         ALARMS,
     )
-    peak_mp_abs: float = column("–", "greatest `mp_abs`", ALARMS)
+    peak_mp_abs: float = column(
+        "–", "greatest `mp_abs`; empty if it is over before the model has a response", ALARMS
+    )
     g_x: float = column("–", "centroid of the active cells as it is raised", ALARMS)
     g_y: float = column("–", "the same", ALARMS)
     side: str = column(

@@ -303,7 +303,7 @@ class Photoreceptors:
         shape, kind = frame.shape, frame.dtype
         if frame.ndim != 2 or kind not in _TYPES or frame.size == 0:
             why = f"{kind} of shape {shape} is not a float32 or uint8 image (H, W)"
-            hint = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
+            hint = "Give luminance in 0..1: for 12 bits, gray.astype(np.float32) / 4095."
             raise FrameError("frame", why, hint)
         if self.hidden is not None and self.hidden.shape != shape:
             why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"

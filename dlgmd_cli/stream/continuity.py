@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dlgmd_cli.frame import Flags, FloatImage, Image
+from dlgmd_cli.frame import FULL, Flags, FloatImage, Image, Levels
 
 # A gap exceeds GAP_INTERVALS median intervals; the median counts as at least MIN_USUAL_S seconds.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
@@ -71,10 +71,14 @@ class RepeatDetector:
         Pixels that are ignored where True.
     is_coded : bool
         Whether the images were coded with loss.
+    levels : (int, int)
+        The images' levels of black and white.
     """
 
-    def __init__(self, hidden: Flags | None = None, *, is_coded: bool = False) -> None:
-        self._hidden, self._is_coded = hidden, is_coded
+    def __init__(
+        self, hidden: Flags | None = None, *, is_coded: bool = False, levels: Levels = FULL
+    ) -> None:
+        self._hidden, self._is_coded, self._levels = hidden, is_coded, levels
         self.reset()
 
     def reset(self) -> None:
@@ -97,8 +101,10 @@ class RepeatDetector:
         if self._hidden is not None:
             current[self._hidden[grid]] = 0
         previous, self._previous = self._previous, current
-        before, self._blocks = self._blocks, _blocks(current) if self._is_coded else None
-        if previous is None or previous.shape != current.shape or previous.dtype != current.dtype:
+        before, self._blocks = self._blocks, None
+        if self._is_coded:
+            self._blocks = _blocks(current, self._levels)
+        if previous is None or previous.shape != current.shape:
             return False
         change, light = 0.0, 0.0
         if not np.array_equal(current, previous):
@@ -129,18 +135,17 @@ class RepeatDetector:
 
 
 class _Blocks(NamedTuple):
-    """An image in grey levels, and the mean and the variance of its blocks."""
+    """An image in grey levels of 0..255, and the mean and the variance of its blocks."""
 
     levels: FloatImage
     mean: FloatImage
     variance: FloatImage
 
 
-def _blocks(image: Image) -> _Blocks:
-    """The blocks of an image, (H, W) of any type."""
-    levels = image.astype(np.float32)
-    if image.dtype != np.uint8:
-        levels *= 255.0 / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0)
+def _blocks(image: Image, black_white: Levels) -> _Blocks:
+    """The blocks of an image, (H, W) of any type, with these levels of black and white."""
+    black, white = black_white
+    levels = (image - np.float32(black)) * np.float32(255.0 / (white - black))
     mean = _means(levels)
     return _Blocks(levels, mean, _means(levels * levels) - mean**2 + _FLAT)
 
@@ -177,6 +182,8 @@ class Continuity:
         Whether the images were coded with loss, see `RepeatDetector`.
     hidden : ndarray, shape (H, W), bool, optional
         Pixels that are ignored.
+    levels : (int, int)
+        The images' levels of black and white.
 
     Attributes
     ----------
@@ -185,15 +192,20 @@ class Continuity:
     """
 
     def __init__(
-        self, *, skips_repeats: bool = True, is_coded: bool = False, hidden: Flags | None = None
+        self,
+        *,
+        skips_repeats: bool = True,
+        is_coded: bool = False,
+        hidden: Flags | None = None,
+        levels: Levels = FULL,
     ) -> None:
         self._skips_repeats, self._is_coded = skips_repeats, is_coded
-        self.ignore(hidden)
+        self.begin(hidden, levels)
         self.reset()
 
-    def ignore(self, hidden: Flags | None) -> None:
-        """Ignore the pixels `hidden` from now on, and forget the previous image."""
-        detector = RepeatDetector(hidden, is_coded=self._is_coded)
+    def begin(self, hidden: Flags | None, levels: Levels = FULL) -> None:
+        """Forget the previous image: the next ones have these levels, and pixels to ignore."""
+        detector = RepeatDetector(hidden, is_coded=self._is_coded, levels=levels)
         self._repeats = detector if self._skips_repeats else None
 
     def reset(self) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
-from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
-from dlgmd_cli.video.images import image_of
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, Unreadable, plausible_fps
+from dlgmd_cli.video.images import image_of, info_of, require_like
 from dlgmd_cli.video.timestamps import start_of, steady_fps
 
 NAME = "rosbags"
@@ -103,14 +104,14 @@ class BagDecoder:
             self._connections = known[topic].connections
             start = start_of(self._sort())
             next(self.stamps())
-            height, width = decoded(self._message).shape[:2]
+            first = decoded(self._message)
             stamps = self._times_s[:_N_FIRST]
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:
                 fps = plausible_fps((len(stamps) - 1) / (stamps[-1] - stamps[0]))
             codec = getattr(self._message, "encoding", "") or self._message.format
-            n_frames = known[topic].msgcount
-            self.info = SourceInfo(width, height, fps, n_frames, codec=codec, start=start)
+            info = info_of(first, fps, known[topic].msgcount, codec)
+            self.info = replace(info, start=start)
         except BaseException as error:
             self.close()
             if isinstance(error, Unreadable):
@@ -158,13 +159,11 @@ class BagDecoder:
         self._times_s = [1e-9 * (times_ns[at] - first_ns) for at in order]
         return first_ns * Decimal("1e-9")
 
-    def picture(self) -> tuple[Image, None]:
-        """The image of the latest message; raises Unreadable if undecodable or of another size."""
-        image, info = decoded(self._message), self.info
-        if image.shape[1::-1] != info.size_wh:
-            size, before = f"{image.shape[1]}x{image.shape[0]}", f"{info.width}x{info.height}"
-            raise Unreadable(f"the size changes from {before} to {size}")
-        return image, None
+    def picture(self) -> Image:
+        """The image of the latest message; raises Unreadable if undecodable or of another kind."""
+        image = decoded(self._message)
+        require_like(image, self.info, "an image")
+        return image
 
     def close(self) -> None:
         """Free the file; may be called twice."""

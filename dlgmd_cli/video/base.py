@@ -62,6 +62,8 @@ _KEEPING = """
     tiff tif tga targa bmp pbm pgm ppm pnm
 """
 _LOSSLESS = frozenset(_KEEPING.split())
+# The signal of reference white as a share of the range of HDR, by transfer [ITU-R BT.2408].
+_REFERENCE_WHITE = {"smpte2084": 0.58, "arib-std-b67": 0.75}
 # The number in a pattern of images, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # User names and passwords in a URL: the text before the host, and values whose key looks secret.
@@ -113,8 +115,11 @@ class SourceInfo:
     `is_interlaced` says that frames consist of two fields, which PyAV de-interlaces. `remark` is a
     line for the user about how the source is read.
 
-    Only PyAV fills in the next five, also where OpenCV decodes: FFmpeg's name of the pixel format,
-    the bits per sample, why OpenCV would decode wrong grey levels (`misread`, empty if it would
+    `levels` are those of black and white of the images as they are decoded, and `bits` the bits per
+    sample that the source states; with a bit depth given, its levels are in `Video.info`.
+
+    Of video, only PyAV fills in `bits` and the next four, also where OpenCV decodes: FFmpeg's name
+    of the pixel format, why OpenCV would decode wrong grey levels (`misread`, empty if it would
     not), the angle in degrees by which the images are turned clockwise to be upright, as the file
     asks, and whether they are then mirrored. `transfer` is FFmpeg's name of the transfer (such as
     bt709, or smpte2084 of HDR), empty for none.
@@ -135,6 +140,7 @@ class SourceInfo:
     remark: str = ""
     pixel_format: str = ""
     bits: int | None = None
+    levels: tuple[int, int] = (0, 255)
     misread: str = ""
     turned_deg: int | None = None
     is_mirrored: bool | None = None
@@ -151,6 +157,12 @@ class SourceInfo:
     def size_wh(self) -> tuple[int, int]:
         """Width and height of the source's images, in px."""
         return self.width, self.height
+
+    @property
+    def diffuse_levels(self) -> tuple[int, int]:
+        """The levels of black and of reference white, which only the highlights of HDR exceed."""
+        black, white = self.levels
+        return black, round(black + _REFERENCE_WHITE.get(self.transfer, 1.0) * (white - black))
 
     @property
     def is_lossless(self) -> bool:

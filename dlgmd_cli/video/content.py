@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.frame import GreyImage, Image
-from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.luma import Decoder, to_grey_levels
+from dlgmd_cli.errors import argument
+from dlgmd_cli.frame import Flags, GreyImage, Image, Levels
+from dlgmd_cli.video.base import Crop, Unreadable
+from dlgmd_cli.video.luma import Decoder, Region, to_grey_levels
 
 # Least duration of a black or frozen span. A cut to black, or a duplicate frame, is shorter.
 BLIND_S = 0.7
@@ -34,6 +35,16 @@ _LEAST_SHARE, _LEAST_JUDGED = 0.005, 0.03
 _MOTION, _MOTION_LINES, _N_JUDGED, _MOST, _N_COMBED = 2.0, 0.8, 12, 600, 3
 # Number of images that are skipped while nothing moves.
 _REST = 4
+# Grey levels (of 255) of the brightest black bar: compression makes it brighter. A row or column
+# is part of the picture if more than this share of its pixels is lit.
+_BLACK, _LIT_SHARE = 24, 0.01
+# Least width of a bar in px, and the least share of each side that a crop keeps.
+_MIN_BAR_PX, _MIN_LEFT = 2, 0.3
+# A constant pixel varies by at most this many grey levels. A picture is small if it fills at most
+# `_SMALL` of the images; if less than `_FILLED` of it differs from the rest, it is an object.
+_CONSTANT, _SMALL, _FILLED = 8, 0.55, 0.5
+# Number of images before a picture counts as small.
+_FEW = 8
 
 
 class BlindSpans:
@@ -43,6 +54,11 @@ class BlindSpans:
     that of the image before. A camera's noise prevents both, also at night. A span lasts at least
     0.7 s. Whole images are compared only while 16 of their rows are equal.
 
+    Parameters
+    ----------
+    black : int
+        The level of black.
+
     Attributes
     ----------
     throughout : str
@@ -51,7 +67,8 @@ class BlindSpans:
         Number of images that equal the one before, and of runs of such images.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, black: int = 0) -> None:
+        self._black = black
         self._rows: Image | None = None
         self._whole: Image | None = None
         self._first_s = self._last_s = self._since_s = math.nan
@@ -60,18 +77,17 @@ class BlindSpans:
         self._was_equal = False
         self._spans: dict[tuple[str, float], float] = {}
 
-    def step(self, picture: Image, time_s: float, black: int = 0) -> None:
+    def step(self, picture: Image, time_s: float) -> None:
         """Judge the next image.
 
         `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced images may lose their
-        noise. The caller may reuse the array afterwards. `time_s` is its time in seconds, and
-        `black` the level of black.
+        noise. The caller may reuse the array afterwards. `time_s` is its time in seconds.
         """
         rows = picture[:: max(1, len(picture) // _N_ROWS)]
         was_equal, is_equal = self._was_equal, self._is_equal(picture, rows)
         self.n_equal, self.n_runs = self.n_equal + is_equal, self.n_runs + (is_equal > was_equal)
         self._was_equal = is_equal
-        is_black = rows.max() <= black and picture.max() <= black
+        is_black = rows.max() <= self._black and picture.max() <= self._black
         suspected = "black" if is_black else "frozen" if is_equal else ""
         if suspected != self._suspected:
             # A frozen span begins with the image that the first equal image repeats.
@@ -117,6 +133,65 @@ class BlindSpans:
         return True
 
 
+class Surround:
+    """Finds a picture that fills a small part of the images while the rest is one constant level.
+
+    `levels` are those of black and white. Of the images 1, 2, 4, 8 …, the first and the last count.
+    """
+
+    def __init__(self, levels: Levels) -> None:
+        self._levels, self._n_images, self._kept = levels, 0, list[Image]()
+
+    def step(self, image: Image) -> None:
+        """Look at the next image, (H, W) or (H, W, 3), as it was decoded."""
+        self._n_images += 1
+        if self._n_images & (self._n_images - 1) == 0:
+            self._kept[1:] = [to_grey_levels(image, self._levels)]
+
+    def report(self) -> str:
+        """The warning that names the picture's crop; empty if the picture is not small."""
+        if self._n_images < _FEW:
+            return ""
+        first = self._kept[0]
+        for level in {int(first[y, x]) for y in (0, -1) for x in (0, -1)}:
+            lit = [np.abs(np.int16(one) - level) > _CONSTANT for one in self._kept]
+            crop = crop_of(np.logical_or(*lit))
+            if crop is None or crop.width * crop.height > _SMALL * first.size:
+                continue
+            picture = Region((first.shape[1], first.shape[0]), crop)
+            if min(picture.of(one).mean() for one in lit) > _FILLED:
+                keeps = f"{argument('crop', str(crop))} keeps the picture"
+                return f"the picture is small, and the rest of the frame is constant; {keeps}"
+        return ""
+
+
+def crop_borders(brightest: Image) -> Crop | None:
+    """The crop of an image, (H, W), inside borders that are never brighter than black.
+
+    None if there are no borders, or if the crop would be too small.
+    """
+    crop = crop_of(brightest > _BLACK)
+    if crop is None or crop.width < _MIN_LEFT * brightest.shape[1]:
+        return None
+    return None if crop.height < _MIN_LEFT * brightest.shape[0] else crop
+
+
+def crop_of(lit: Flags) -> Crop | None:
+    """The crop inside the borders of an image, (H, W), where few pixels are lit; None for none."""
+    spans = []
+    for axis in (0, 1):
+        lines = np.flatnonzero(lit.mean(axis=axis) > _LIT_SHARE)
+        side = lit.shape[1 - axis]
+        if not lines.size:
+            return None
+        first, last = int(lines[0]), int(lines[-1]) + 1
+        first = first if first >= _MIN_BAR_PX else 0
+        spans.append((first, last if side - last >= _MIN_BAR_PX else side))
+    (left, right), (top, bottom) = spans
+    crop = Crop(right - left, bottom - top, left, top)
+    return None if (crop.height, crop.width) == lit.shape else crop
+
+
 def has_comb(grey: npt.NDArray[np.uint8]) -> bool:
     """Whether even and odd lines of an image, (H, W), do not belong together.
 
@@ -149,10 +224,10 @@ def is_combed(decoder: Decoder) -> bool:
             n_left_out -= 1
             continue
         try:
-            image, levels = decoder.picture()
+            image = decoder.picture()
         except Unreadable:
             break
-        grey = to_grey_levels(image, levels)
+        grey = to_grey_levels(image, decoder.info.levels)
         if before is not None and not _moves(before, grey):
             before, n_left_out = None, _REST
             continue

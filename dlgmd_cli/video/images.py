@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence, Sized
+from dataclasses import replace
 from pathlib import Path
 from statistics import mode
 from typing import Any
@@ -81,25 +82,38 @@ class ImageDecoder(_Series):
             raise SourceError(str(paths[0]), str(error), hint) from None
         kind = paths[0].suffix[1:].lower()
         self._places = numbered_places(paths)
-        height, width = first.shape[:2]
-        self.info = SourceInfo(width, height, None, len(paths), codec=kind)
+        self.info = info_of(first, None, len(paths), kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of each image in seconds: images missing by their names leave gaps."""
         for place, _ in zip(self._places, super().stamps(), strict=True):
             yield place / self._fps
 
-    def picture(self) -> tuple[Image, None]:
+    def picture(self) -> Image:
         """The image of the latest timestamp; raises Unreadable."""
         try:
             image = read_image(self._latest)
         except Unreadable as error:
             raise Unreadable(f"{self._latest.name} {error}") from None
-        height, width = image.shape[:2]
-        if (width, height) != self.info.size_wh:
-            expected = f"{self.info.width}x{self.info.height}"
-            raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
-        return image, None
+        require_like(image, self.info, self._latest.name)
+        return image
+
+
+def info_of(first: Image, fps: float | None, n_frames: int | None, codec: str) -> SourceInfo:
+    """The description of images like the first one, whose samples use all bits of their type."""
+    height, width = first.shape[:2]
+    bits = 8 * first.itemsize
+    levels = (0, 1) if first.dtype.kind == "f" else (0, (1 << bits) - 1)
+    return SourceInfo(width, height, fps, n_frames, codec, bits=bits, levels=levels)
+
+
+def require_like(image: Image, info: SourceInfo, name: str) -> None:
+    """Raise Unreadable if an image has another size or other bits than the first one."""
+    (height, width), bits = image.shape[:2], 8 * image.itemsize
+    if (width, height) != info.size_wh:
+        raise Unreadable(f"{name} is {width}x{height}, not {info.width}x{info.height}")
+    if bits != info.bits:
+        raise Unreadable(f"{name} has {bits} bits, not {info.bits}")
 
 
 def read_image(path: Path) -> Image:
@@ -266,7 +280,7 @@ class ArrayDecoder(_Series):
             raise SourceError(name, "holds no frames", "An iterator can be read only once.")
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
-        height, width = self._checked().shape[:2]
+        checked = self._checked()
         # All images of an integer array have one type: only lists and floats can go wrong later.
         is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
         if is_whole and isinstance(images, np.ndarray | list | tuple):
@@ -274,11 +288,11 @@ class ArrayDecoder(_Series):
                 self._checked()
         n_frames = len(images) if isinstance(images, Sized) else None
         remark = "" if shape is None else _axes_remark(images)
-        self.info = SourceInfo(width, height, None, n_frames, codec, remark=remark)
+        self.info = replace(info_of(checked, None, n_frames, codec), remark=remark)
 
-    def picture(self) -> tuple[Image, None]:
+    def picture(self) -> Image:
         """The latest image; raises SourceError if its shape, type or values are wrong."""
-        return self._checked(), None
+        return self._checked()
 
     def _checked(self) -> Image:
         """The latest image as uint8, uint16 or float32; raises SourceError."""

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
-from dlgmd_cli.frame import Frame, Image, small_wh
+from dlgmd_cli.frame import FULL, Frame, Image, Levels, small_wh
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.stream.clock import StreamClock
@@ -26,7 +26,7 @@ from dlgmd_cli.stream.continuity import Continuity, GapDetector
 from dlgmd_cli.stream.intake import Intake, Placed
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable, without_password
 from dlgmd_cli.video.input_options import InputOptions
-from dlgmd_cli.video.luma import Levels, Region, grey_at_sizes, read_mask, to_bgr
+from dlgmd_cli.video.luma import Region, grey_at_sizes, read_mask, to_bgr
 from dlgmd_cli.video.opencv_decoder import guarded
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.source import Video
@@ -348,7 +348,7 @@ class LiveSource:
             )
         if region is not self.region:
             region.hidden(self.size_wh)  # raises ParameterError if no cell is left
-            self._continuity.ignore(region.hidden(region.size_wh))
+            self._continuity.begin(region.hidden(region.size_wh), shot.levels)
             self.region = region
         return image
 
@@ -428,7 +428,7 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
             is_there, image = capture.retrieve(image)
             if is_there and image is not None and image.size:
                 stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                yield Shot(image, None, captured_s, stamp_s=stamp_s)
+                yield Shot(image, FULL, captured_s, stamp_s=stamp_s)
     except cv2.error:
         raise Unreadable("it sent a frame that cannot be decoded") from None
     finally:
@@ -473,11 +473,11 @@ def unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
         image = data.reshape(height, width, 3)
-        return image if pixel_format == "bgr24" else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), None
+        return image if pixel_format == "bgr24" else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), FULL
     if pixel_format == "yuyv422":
         return np.ascontiguousarray(data[::2].reshape(height, width)), _LIMITED
     luma = data[: width * height].reshape(height, width)
-    return luma, None if pixel_format == "gray" else _LIMITED
+    return luma, FULL if pixel_format == "gray" else _LIMITED
 
 
 def shots_at_their_pace(
@@ -510,7 +510,7 @@ def shots_at_their_pace(
                     time.sleep(left_s)
                 yield Shot(
                     picture.image,
-                    picture.levels,
+                    video.info.levels,
                     due_s,
                     index,
                     time_s,

@@ -11,13 +11,10 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, argument
-from dlgmd_cli.frame import Flags, Image
+from dlgmd_cli.frame import FULL, Flags, Image, Levels
 from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.video.base import Crop, SourceInfo, Unreadable
 from dlgmd_cli.video.images import read_image
-
-# The levels of black and white; None for the full range of the data type.
-Levels = tuple[int, int] | None
 
 
 class Decoder(Protocol):
@@ -37,8 +34,8 @@ class Decoder(Protocol):
         """Step through the frames; yields the time of each in seconds, NaN if unknown."""
         ...
 
-    def picture(self) -> tuple[Image, Levels]:
-        """The image of the latest frame and its levels; raises Unreadable."""
+    def picture(self) -> Image:
+        """The image of the latest frame, of the levels in `info`; raises Unreadable."""
         ...
 
     def close(self) -> None:
@@ -48,10 +45,10 @@ class Decoder(Protocol):
 
 # Pixel formats whose first plane is the luma with contiguous samples. All other formats must be
 # converted: packed, RGB, floating-point, and formats of the other byte order.
-_ENDIAN = "le" if sys.byteorder == "little" else "be"
-_PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
-_SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
-_LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
+ENDIAN = "le" if sys.byteorder == "little" else "be"
+_PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){ENDIAN})?")
+_SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){ENDIAN}")
+LIMITED, UNLIMITED = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
 
 
 # A display matrix is applied if it is within 6 degrees of a turn by a multiple of 90 degrees,
@@ -115,16 +112,16 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
     n_bits = int(match[1] or 8)
     shift = 16 - n_bits if semiplanar and match[1] else 0  # samples fill the upper bits
     is_grey = pixel_format.startswith("gray")
-    is_full = colour_range != _LIMITED if is_grey else colour_range == _FULL
+    is_full = colour_range != LIMITED if is_grey else colour_range == UNLIMITED
     is_full = is_full or pixel_format.startswith("yuvj")
     kind = np.uint8 if n_bits == 8 else np.uint16
     if not is_full:
         scale = 1 << (n_bits - 8 + shift)
         return kind, (16 * scale, 235 * scale)
-    return kind, None if n_bits in (8, 16) else (0, ((1 << n_bits) - 1) << shift)
+    return kind, (0, ((1 << n_bits) - 1) << shift)
 
 
-def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
+def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = FULL) -> Image:
     """Grey levels (BT.601) of an image, clipped to `levels` and resized.
 
     Parameters
@@ -134,7 +131,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     size_wh : (int, int)
         Width and height of the result, in px.
     levels : (int, int), optional
-        The levels of black and white.
+        The levels of black and white; those of 8 bits unless given.
 
     Returns
     -------
@@ -146,12 +143,11 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
 
 def _leveled(grey: Image, levels: Levels) -> Image:
     """A grey image whose levels of black and white are the least and the greatest value."""
+    black, white = levels
     if grey.dtype == np.uint16:
-        black, white = levels or (0, 65535)
         luminance = (grey - np.float32(black)) / np.float32(white - black)
         return np.clip(luminance, 0.0, 1.0, out=luminance)
-    if levels is not None:
-        black, white = levels
+    if grey.dtype == np.uint8 and levels != FULL:
         gain = 255.0 / (white - black)
         # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
@@ -173,20 +169,19 @@ def to_grey_levels(image: Image, levels: Levels) -> Image:
     return grey if grey.dtype == np.uint8 else cv2.convertScaleAbs(grey, alpha=255.0)
 
 
-def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
+def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = FULL) -> Image:
     """An image for display: BGR of 8 bits, (height, width, 3), newly allocated.
 
     The arguments are those of `to_grey`.
     """
     if image.ndim == 2:
-        image = to_grey(image, size_wh, levels)
+        image, levels = to_grey(image, size_wh, levels), (0, 1)
     elif (image.shape[1], image.shape[0]) != size_wh:
         shrinks = size_wh[0] <= image.shape[1] and size_wh[1] <= image.shape[0]
         way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         image = cv2.resize(image, size_wh, interpolation=way)
     if image.dtype != np.uint8:
-        highest = (levels or (0, 65535))[1] if image.dtype == np.uint16 else 1.0
-        image = np.clip(np.rint(image * (255.0 / highest)), 0, 255).astype(np.uint8)
+        image = np.clip(np.rint(image * (255.0 / levels[1])), 0, 255).astype(np.uint8)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
 
 
@@ -206,7 +201,8 @@ def read_mask(path: str) -> Flags:
         hint = "Give a PNG whose black is left out."
         raise ParameterError("", f"{argument('mask')} {path} {why}", hint) from None
     brightest = image.max(axis=2) if image.ndim == 3 else image
-    return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
+    white = (1 << int(image.max()).bit_length()) - 1  # 1 and 255 are white, too, also of 16 bits
+    return np.asarray(brightest <= white // 2)
 
 
 class Region:

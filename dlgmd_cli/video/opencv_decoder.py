@@ -107,9 +107,9 @@ class OpenCVDecoder:
             # OpenCV gives 0 for a missing timestamp.
             yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0 or math.nan
 
-    def picture(self) -> tuple[Image, None]:
+    def picture(self) -> Image:
         """The frame of the latest timestamp, valid until the next call."""
-        return self._retrieved(), None
+        return self._retrieved()
 
     def _retrieved(self) -> Image:
         """The frame that was grabbed last."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
+from dlgmd_cli.frame import FULL
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
@@ -122,13 +123,14 @@ def open_video(
     times : path, optional
         A table with the time of each frame, see `read_times`, in place of all other times.
     bit_depth : int, optional
-        Bits of the samples of uint16 images, arrays and bags, 8 to 16: white is 2**bit_depth - 1.
-        16 unless given, with a warning if all samples are far below 65535.
+        Bits that samples of more than 8 bits really have, 8 to 16, whether of video, images, bags
+        or arrays: white of uint16 is 2**bit_depth - 1. Unless given, those that the input states,
+        with a warning if all samples of 16 bits are far below white.
     decoder : {"opencv", "pyav"}
         Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
         ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
-        codecs that OpenCV lacks, HDR, grey video whose black is not 0, and files whose default
-        video stream is not the first.
+        codecs that OpenCV lacks, HDR, 16 bits, grey video whose black is not 0, files whose default
+        video stream is not the first, and whatever has a `bit_depth`.
     crop : str, optional
         The part of each image to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -163,6 +165,8 @@ def open_video(
     for name, value in {"repeats": repeats, "input_fps": input_fps}.items():
         if value is not None:
             SPECS[name].check(value, argument(name))
+    if bit_depth:
+        decoder = "pyav"  # OpenCV keeps 8 bits
     name, where, reopen = _source(path, decoder, input_fps or base.FALLBACK_FPS, topic)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
@@ -174,7 +178,7 @@ def open_video(
         has_rate = is_continuous or bool(stated_fps or input_fps or given)
         most_fps = _most_fps(max_fps, model_fps, is_continuous=is_continuous, has_rate=has_rate)
         every, min_interval_s = sampling_step(fps, most_fps)
-        info = _info(path, where, name, opened, fps)
+        info = _info(path, where, name, opened, fps, bit_depth)
         info = replace(info, start=given.start if given else info.start)
         region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
@@ -199,10 +203,15 @@ def open_video(
     return video
 
 
-def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) -> SourceInfo:
+def _info(
+    path: Openable, where: str, name: str, opened: Decoder, fps: float, bit_depth: int | None
+) -> SourceInfo:
     """The properties of an open input; `where` is its absolute path, or NAME for an array."""
     identity: InputFacts = {}
-    given = where
+    given, (black, white) = where, opened.info.levels
+    if bit_depth and white > FULL[1]:
+        n_lower = max(0, (opened.info.bits or bit_depth) - bit_depth)
+        black, white = black >> n_lower, white >> n_lower
     if where != NAME:
         assert isinstance(path, str | os.PathLike)
         identity, given = {"path": where, **fingerprint(where)}, os.fspath(path)
@@ -214,6 +223,7 @@ def _info(path: Openable, where: str, name: str, opened: Decoder, fps: float) ->
         decoder=opened.kind,
         identity=identity,
         given=given,
+        levels=(black, white),
     )
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 import struct
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
@@ -14,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError, argument
-from dlgmd_cli.frame import Image
+from dlgmd_cli.frame import FULL, Image, Levels
 from dlgmd_cli.video import base
 from dlgmd_cli.video.base import SourceInfo, Unreadable
 from dlgmd_cli.video.containers import Colours, stated_by
-from dlgmd_cli.video.luma import UPRIGHT, Levels, Orientation, luma_plane
+from dlgmd_cli.video.luma import ENDIAN, LIMITED, UNLIMITED, UPRIGHT, Orientation, luma_plane
 from dlgmd_cli.video.opencv_decoder import true_stamps, with_true_rate
 
 if TYPE_CHECKING:
@@ -113,13 +114,16 @@ class PyAVDecoder:
             length_s = 0.0
         n_frames = stream.frames or max(0, round((length_s - start_s) * (fps or 0.0)))
         pixels = frame.format
-        _, levels = luma_plane(pixels.name, int(frame.color_range)) or (None, None)
+        bits, self._samples = _bits(frame), _samples_of(frame)[1:]
+        levels = self._samples[1]
         # Each image of ProRes has its own tags, which take precedence.
         context = stream.codec_context
         colours = _colours(frame if context.name == "prores" else context)
         misread = colours.changed_by_opencv()
-        if pixels.name.startswith("gray") and levels is not None and levels[0] > 0:
+        if pixels.name.startswith("gray") and levels[0] > 0:
             misread = "its grey levels begin above 0"
+        if bits == 16:
+            misread = misread or f"OpenCV would keep 8 of its {bits} bits"
         return SourceInfo(
             *self._orientation.size(frame.width, frame.height),
             fps,
@@ -128,7 +132,8 @@ class PyAVDecoder:
             is_interlaced=is_interlaced,
             remark=remark,
             pixel_format=pixels.name,
-            bits=max(component.bits for component in pixels.components),
+            bits=bits,
+            levels=levels,
             misread=misread,
             turned_deg=self._orientation.turned_deg,
             is_mirrored=self._orientation.is_mirrored,
@@ -185,12 +190,16 @@ class PyAVDecoder:
             self._frame = frame
             yield _seconds(frame.pts, frame) - self._start_s
 
-    def picture(self) -> tuple[Image, Levels]:
+    def picture(self) -> Image:
         """The frame of the latest timestamp; the array stays valid after the next call."""
-        size = self._orientation.size(self._frame.width, self._frame.height)
+        frame = self._frame
+        size = self._orientation.size(frame.width, frame.height)
         if size != self.info.size_wh:
             raise Unreadable(f"the frame size changes to {size[0]}x{size[1]}")
-        return picture_of(self._frame, self._orientation)
+        if _samples_of(frame)[1:] != self._samples:  # they change within the file
+            colour_range = LIMITED if self.info.levels[0] else UNLIMITED
+            frame = frame.reformat(format=self.info.pixel_format, dst_color_range=colour_range)
+        return picture_of(frame, self._orientation)[0]
 
     def details(self) -> SourceInfo:
         """The source's properties, interlacing included; consumes the first few frames."""
@@ -264,17 +273,36 @@ def _deinterlaced(av: ModuleType, stream: "VideoStream", frames: "Frames") -> "F
                     break
 
 
+def _samples_of(frame: "VideoFrame") -> tuple[str, type | None, Levels]:
+    """The format that a frame is read in, the type of its luma plane, and the levels.
+
+    The type is None if there is no luma plane, and the frame is converted to BGR.
+    """
+    name = re.sub("[bl]e$", ENDIAN, frame.format.name)
+    luma = luma_plane(name, int(frame.color_range))
+    if luma is not None and frame.planes[0].line_size > 0:
+        return name, *luma
+    if _bits(frame) > 8:
+        return f"bgr48{ENDIAN}", None, (0, 65535)
+    return "bgr24", None, FULL
+
+
+def _bits(frame: "VideoFrame") -> int:
+    return max(component.bits for component in frame.format.components)
+
+
 def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple[Image, Levels]:
     """The image of a frame and its levels: the luma plane (a view), or BGR if there is none."""
-    plane = frame.planes[0]
-    luma = luma_plane(frame.format.name, int(frame.color_range))
-    if luma is None or plane.line_size <= 0:
-        try:
-            return orientation.upright(frame.to_ndarray(format="bgr24")), None
-        except (ValueError, OSError):  # no conversion from this format
-            raise Unreadable("the file is damaged") from None
-    kind, levels = luma
+    name, kind, levels = _samples_of(frame)
+    try:
+        if kind is None:
+            return orientation.upright(frame.to_ndarray(format=name)), levels
+        if name != frame.format.name:
+            frame = frame.reformat(format=name)
+    except (ValueError, OSError):  # no conversion from this format
+        raise Unreadable("the file is damaged") from None
     # The view keeps the frame alive, and the frame keeps its memory.
+    plane = frame.planes[0]
     shape, strides = (frame.height, frame.width), (plane.line_size, np.dtype(kind).itemsize)
     image: Image = np.ndarray(shape, kind, memoryview(plane), strides=strides)
     return orientation.upright(image), levels

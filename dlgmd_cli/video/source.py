@@ -20,12 +20,11 @@ from dlgmd_cli.frame import Frame, Image, small_wh
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.stream.continuity import Continuity
-from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DECODERS, SourceInfo, Unreadable
-from dlgmd_cli.video.content import BlindSpans
+from dlgmd_cli.video.content import BlindSpans, Surround
 from dlgmd_cli.video.damage import PAUSE, Loss, lost_frames, missing_frames
 from dlgmd_cli.video.given_times import GivenTimes
-from dlgmd_cli.video.luma import Decoder, Levels, Region, grey_at_sizes, to_bgr
+from dlgmd_cli.video.luma import Decoder, Region, grey_at_sizes, to_bgr
 from dlgmd_cli.video.pyav_decoder import import_av
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates
 
@@ -33,22 +32,20 @@ ItemT = TypeVar("ItemT")
 # Duplicates are reported from this number on, if they exceed this share of all frames; equal images
 # that are kept are reported if runs of them are more than this share.
 _MANY_REPEATS, _MANY_REPEATS_SHARE, _MANY_RUNS_SHARE = 5, 0.05, 0.2
-# A 16-bit image whose samples fit into this number of bits is far below white.
-_FEW_BITS = 13
+# Samples of 16 bits that fit into this number of bits are far below white.
+_FEW_BITS = 14
 
 
 @dataclass(frozen=True)
 class Picture:
     """A decoded image: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
 
-    `levels` are the levels of black and white; None means the full range of the data type. See
-    `Frame` for `is_repeat` and `after_gap`.
+    Its levels are in `Video.info`. See `Frame` for `is_repeat` and `after_gap`.
     """
 
     index: int
     time_s: float
     image: Image
-    levels: tuple[int, int] | None
     is_repeat: bool
     after_gap: bool
 
@@ -181,7 +178,7 @@ class Video:
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = ReadProgress()
-        self._bit_depth, self._brightest, self._brightest_of_8 = bit_depth, 0, 0
+        self._bit_depth, self._brightest = bit_depth, 0
         self._given, self._given_report = given, ""
         self._file_fps = file_fps or info.fps
 
@@ -199,9 +196,13 @@ class Video:
         selection, clock, given = copy.copy(self._selection), FrameClock(fps), self._given
         file_times = array("d")
         times = array("d") if given else file_times
-        hidden, spans = self.hidden(self.source_wh), BlindSpans()
-        is_coded = not self.info.is_lossless
-        continuity = Continuity(skips_repeats=self._skips_repeats, is_coded=is_coded, hidden=hidden)
+        spans, surround = BlindSpans(self.info.levels[0]), Surround(self.info.levels)
+        continuity = Continuity(
+            skips_repeats=self._skips_repeats,
+            is_coded=not self.info.is_lossless,
+            hidden=self.hidden(self.source_wh),
+            levels=self.info.diffuse_levels,
+        )
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = 0 if self._skips_repeats else None
         loss, fault, is_ended = Loss(), "", False
@@ -226,15 +227,17 @@ class Video:
                 break
             # Without a start time, frames at negative times (from edit lists) are included.
             has_begun = selection.start_s <= 0.0 or time_s >= selection.start_s
-            image, levels = None, None
+            image = None
             if has_begun and (self._skips_repeats or selection.is_due(time_s)):
                 try:
-                    image, levels = self._leveled(*decoder.picture())
+                    image = decoder.picture()
                 except Unreadable as error:
                     fault = str(error)
                     break
+                self._look(image)
                 image = self.region.of(image)
-                spans.step(image, time_s, levels[0] if levels else 0)
+                spans.step(image, time_s)
+                surround.step(image)
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
                 continue
@@ -244,7 +247,7 @@ class Video:
             if selection.take(time_s, is_new=continuity.is_new) and image is not None:
                 is_repeat, after_gap = continuity.take()
                 progress.n_new += not is_repeat
-                yield Picture(index, time_s, image, levels, is_repeat, after_gap or is_broken)
+                yield Picture(index, time_s, image, is_repeat, after_gap or is_broken)
                 is_broken = False
         else:
             is_ended = True
@@ -252,7 +255,7 @@ class Video:
             fault = holes.report() or loss.fault
             n_frames = len(times) + holes.n_frames
             self._given_report = given.report(n_frames) if given else ""
-        self._report(fault, loss, times, spans, clock)
+        self._report(fault, loss, times, spans, surround, clock)
         progress.is_whole = is_ended and selection.start_s <= 0.0 and not progress.damage
         decoder.close()
 
@@ -262,6 +265,7 @@ class Video:
         loss: Loss,
         times: "array[float]",
         spans: BlindSpans,
+        surround: Surround,
         clock: FrameClock,
     ) -> None:
         """Report what was noticed while reading; a `fault`, if any, is damage of the file."""
@@ -276,7 +280,12 @@ class Video:
         light = self._too_dark_or_bright()
         stamps = clock.report() if self.info.fps_stated and not self._given else None
         repetition = self._repetition(spans)
-        lines = stamps, self._given_report, loss.remark, missing, repetition, blind, ending, light
+        is_cut = self.source_wh != self.info.size_wh or self.region.masked is not None
+        small = "" if is_cut or spans.throughout else surround.report()
+        lines = (
+            *(stamps, self._given_report, loss.remark, missing),
+            *(repetition, blind, ending, light, small),
+        )
         # An input that is read again reports each line once.
         progress.warnings += [line for line in lines if line and line not in progress.warnings]
         is_pause = PAUSE in missing and not ending
@@ -317,27 +326,24 @@ class Video:
             f"the duplicates ({argument('repeats', 'keep')} processes them)"
         )
 
-    def _leveled(self, image: Image, levels: Levels) -> tuple[Image, Levels]:
-        """An image with its levels: for uint16 samples, the levels of the given bit depth."""
-        if not (self._decoder.takes_every_frame or self._decoder.kind == bags.NAME):
-            return image, levels
-        if image.dtype == np.uint16:
+    def _look(self, image: Image) -> None:
+        """Note the brightest sample, see `_too_dark_or_bright`."""
+        is_clear = self._brightest > 1 if image.dtype == np.uint8 else image.dtype != np.uint16
+        if not is_clear:
             self._brightest = max(self._brightest, int(image.max()))
-            levels = (0, (1 << self._bit_depth) - 1) if self._bit_depth else None
-        elif image.dtype == np.uint8 and self._brightest_of_8 <= 1:
-            self._brightest_of_8 = max(self._brightest_of_8, int(image.max()))
-        return image, levels
 
     def _too_dark_or_bright(self) -> str:
-        if self._brightest_of_8 == 1 and not self._brightest:
+        brightest, (black, white) = self._brightest, self.info.levels
+        if white == 255 and brightest == 1:
             return "all samples of 8 bits are 0 or 1, where white is 255; multiply them by 255"
-        given, bits = self._bit_depth, max(8, self._brightest.bit_length())
-        if given and bits > given:
-            cut_by = argument("bit_depth", given)
-            return f"samples up to {self._brightest} are cut off at white by {cut_by}"
-        if given or not self._brightest or bits > _FEW_BITS:
+        if self._bit_depth:
+            cut_by = argument("bit_depth", self._bit_depth)
+            too_bright = f"samples up to {brightest} are cut off at white by {cut_by}"
+            return too_bright if brightest > white else ""
+        bits = max(8, brightest.bit_length())
+        if self.info.bits != 16 or brightest in (0, black) or bits > _FEW_BITS:
             return ""
-        why = f"all samples of 16 bits are {self._brightest} or less, where white is 65535"
+        why = f"all samples of 16 bits are {brightest} or less, where white is {white}"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"
 
     def _lost_frames(self, times: Sequence[float]) -> Loss:
@@ -377,7 +383,7 @@ class Video:
         of_small = small_wh(*self.source_wh) if small else first
         sizes, reducer = {first, *others, of_small}, Reducer()
         for picture in self.pictures():
-            image, levels = picture.image, picture.levels
+            image, levels = picture.image, self.info.levels
             greys = grey_at_sizes(image, sizes, levels, reducer)
             yield Frame(
                 picture.index,

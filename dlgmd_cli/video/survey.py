@@ -14,23 +14,19 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.video import bags
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop
+from dlgmd_cli.video.content import crop_borders
 from dlgmd_cli.video.images import NAME, pictures_at
 from dlgmd_cli.video.luma import Region, to_grey_levels
 from dlgmd_cli.video.opening import open_video
 
-# Grey levels (of 255): the brightest black bar, and the greatest change of a still pixel.
-# Compression makes black bars brighter and still displays vary.
-_BLACK, _STILL = 24, 20
-# A row or column is part of the image if more than this share of its pixels is lit.
-_LIT_SHARE = 0.01
+# Grey levels (of 255): the greatest change of a still pixel. Compression makes displays vary.
+_STILL = 20
 # Still pixels are looked for in 25 images or more, if half of all pixels vary by 32 grey levels.
 _N_PICTURES, _MOVING = 25, 32
 # A display: least size of a connected part in px, least and greatest share of the image.
 _MIN_STILL_PX, _STILL_SHARES = 6, (0.0002, 0.4)
 # Least gradient of a contour pixel, and the least share of contour pixels in a display.
 _CONTOUR, _CONTOUR_SHARE = 40, 0.2
-# Least width of a black bar in px, and the least share of each side that a crop keeps.
-_MIN_BAR_PX, _MIN_LEFT = 2, 0.3
 
 
 @dataclass(frozen=True)
@@ -123,7 +119,7 @@ def survey(
             for picture in video.pictures():
                 n_gaps += picture.after_gap
                 if not picture.is_repeat:
-                    grey = to_grey_levels(picture.image, picture.levels)
+                    grey = to_grey_levels(picture.image, video.info.levels)
                     darkest, brightest = extremes or (grey, grey)
                     extremes = cv2.min(darkest, grey), cv2.max(brightest, grey)
                 on_frame(picture.index + 1)
@@ -172,28 +168,6 @@ def _proposal(
     height, width = brightest.shape
     region = Region((width, height), crop)
     return crop, static_pixels(region.of(darkest), region.of(brightest))
-
-
-def crop_borders(brightest: Image) -> Crop | None:
-    """The crop of an image, (H, W), inside borders that are never brighter than black.
-
-    None if there are no borders, or if the crop would be too small.
-    """
-    lit, spans = brightest > _BLACK, []
-    for axis in (0, 1):
-        lines = np.flatnonzero(lit.mean(axis=axis) > _LIT_SHARE)
-        side = lit.shape[1 - axis]
-        if not lines.size:
-            return None
-        first, last = int(lines[0]), int(lines[-1]) + 1
-        first = first if first >= _MIN_BAR_PX else 0
-        last = last if side - last >= _MIN_BAR_PX else side
-        if last - first < max(_MIN_LEFT * side, 1):
-            return None
-        spans.append((first, last))
-    (left, right), (top, bottom) = spans
-    crop = Crop(right - left, bottom - top, left, top)
-    return None if (crop.height, crop.width) == brightest.shape else crop
 
 
 def static_pixels(darkest: Image, brightest: Image) -> Flags | None:

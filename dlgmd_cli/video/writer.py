@@ -324,4 +324,4 @@ def _encode(source: str, spans: Spans, folder: Path, of_images: ImageOptions) ->
                     clip.close()
                     running.remove((end_s, clip, write))
                 else:
-                    write(to_bgr(picture.image, (width, height), picture.levels))
+                    write(to_bgr(picture.image, (width, height), video.info.levels))

@@ -10,9 +10,10 @@ from conftest import looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.video.base import Crop
+from dlgmd_cli.video.content import crop_borders
 from dlgmd_cli.video.luma import read_mask
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.survey import crop_borders, static_pixels, survey
+from dlgmd_cli.video.survey import static_pixels, survey
 from dlgmd_cli.video.timestamps import frame_rates
 
 WIDTH, HEIGHT, BAR = 160, 120, 16

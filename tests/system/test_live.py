@@ -24,7 +24,7 @@ from conftest import full, looming_frames, read_video, until, write_video, yaml_
 import dlgmd_cli
 from dlgmd_cli import Alarm, Detection, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import FULL, Frame
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.health import BLIND_S
 from dlgmd_cli.models.rules import rule_of
@@ -69,16 +69,16 @@ def source_of(shots, options=None, **more):
 
 
 def shot(value, size_wh=(40, 30), captured_s=0.0):
-    return Shot(np.full(size_wh[::-1], value, np.uint8), None, captured_s)
+    return Shot(np.full(size_wh[::-1], value, np.uint8), FULL, captured_s)
 
 
 def played(pictures, options=None, fps=30.0, **more):
     """A source of images, one after the other, as fast as they are taken."""
 
     def shots():
-        yield Shot(pictures[0], None, 0.0)  # whose time is that of its being read
+        yield Shot(pictures[0], FULL, 0.0)  # whose time is that of its being read
         for number, picture in enumerate(pictures[1:], 1):
-            yield Shot(picture, None, source.first_s + number / fps)
+            yield Shot(picture, FULL, source.first_s + number / fps)
 
     source = source_of(shots, options, drops=False, **more)
     return source
@@ -420,11 +420,11 @@ def test_a_file_that_decodes_too_slowly_plays_slower(clock, caplog):
     def pictures():
         for number in range(40):
             clock.now += 0.1  # to decode what lasts 0.05 s
-            yield Picture(number, 0.05 * number, GREY, None, is_repeat=False, after_gap=False)
+            yield Picture(number, 0.05 * number, GREY, is_repeat=False, after_gap=False)
 
     @contextmanager
     def video():
-        path = SimpleNamespace(path="a.mp4")
+        path = SimpleNamespace(path="a.mp4", levels=FULL)
         yield SimpleNamespace(pictures=pictures, info=path, region=None)
 
     shots = list(live_source.shots_at_their_pace(video))
@@ -668,16 +668,16 @@ def test_a_silent_source_is_lost(caplog):
         began_s = time.monotonic()  # at even times, however busy the machine is
         for number, frame in enumerate(frames):
             time.sleep(0.012)
-            yield Shot(frame, None, began_s + 0.012 * number)
+            yield Shot(frame, FULL, began_s + 0.012 * number)
         assert go_on.wait(SOON_S)
         for picture in PAN[:2]:  # as a buffer has them
-            yield Shot(picture, None, time.monotonic())
+            yield Shot(picture, FULL, time.monotonic())
         time.sleep(0.4)
         for number in range(500):
             if len(events) == 4:
                 break
             picture = PAN[number % len(PAN)]
-            yield Shot(picture, None, time.monotonic())
+            yield Shot(picture, FULL, time.monotonic())
             time.sleep(0.03)
 
     source, events, told = source_of(shots, drops=False), [], []
@@ -709,7 +709,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
             raise Unreadable("the stream cannot be opened")
         while not source.is_over:
             for picture in PAN:
-                yield Shot(picture, None, time.monotonic())
+                yield Shot(picture, FULL, time.monotonic())
                 time.sleep(0.03)
 
     events, source = [], source_of(shots, tries_again=True)
@@ -745,7 +745,7 @@ def test_what_receivers_report_is_an_event():
 
     def shots():
         for frame in frames:
-            yield Shot(frame, None, time.monotonic())
+            yield Shot(frame, FULL, time.monotonic())
         until(lambda: told, SOON_S)
         reports.append(("output-lost", {"output": "jsonl"}))
         until(lambda: len(told) == 2, SOON_S)

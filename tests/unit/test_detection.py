@@ -1,6 +1,7 @@
 """Normalisation, spikes and alarms; frame by frame, and of a whole run."""
 
 import math
+import re
 from itertools import pairwise
 
 import cv2
@@ -234,3 +235,21 @@ def test_the_frames_of_an_open_video_give_what_run_gives(tmp_path):
         rows = [alarm.step(frame) for frame in video]
     for name in ("frame", "time_s", "mp", "expansion", "signal", "alarm"):
         np.testing.assert_array_equal([getattr(row, name) for row in rows], getattr(result, name))
+
+
+class AtOnce(dlgmd_cli.Rule):
+    """An alarm before any model has a response."""
+
+    def value(self, row):
+        return 1.0 if row.frame < 2 else math.nan
+
+
+def test_an_alarm_before_the_first_response_prints_no_nan(tmp_path):
+    result = dlgmd_cli.run(looming_frames(20), alarm=AtOnce, fps=30)
+    (alarm,) = result.alarm_list
+    assert alarm.peak_signal == 1.0 and alarm.to_dict()["peak_mp_abs"] is None
+    result.save(tmp_path / "x", formats=["vtt"])
+    texts = [path.read_text() for path in (tmp_path / "x").iterdir()]
+    assert len(texts) > 4
+    for text in (*texts, str(list(result.shown()))):
+        assert not re.search(r"\bnan\b", text, re.IGNORECASE)

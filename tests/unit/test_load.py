@@ -39,7 +39,7 @@ def simulated(load, interval_s, cost_s, end_s, came_s=0.0):
     while now_s < end_s:
         while n_came * interval_s <= now_s or not source._waiting:
             at_s = n_came * interval_s
-            source._publish(Shot(IMAGE, None, at_s, n_came, at_s))
+            source._publish(Shot(IMAGE, (0, 255), at_s, n_came, at_s))
             n_came += 1
         now_s = max(now_s, source._waiting[0].captured_s)
         frame, began_s = source.take(0.0), now_s

@@ -141,10 +141,10 @@ def test_every_pixel_format():
 def test_which_formats_have_a_luma_plane():
     for name in ("yuv420p", "nv12"):
         assert luma_plane(name, UNSPECIFIED) == luma_plane(name, LIMITED) == (np.uint8, (16, 235))
-    assert luma_plane("gray", UNSPECIFIED) == luma_plane("yuv420p", FULL) == (np.uint8, None)
+    assert luma_plane("gray", UNSPECIFIED) == luma_plane("yuv420p", FULL) == (np.uint8, (0, 255))
     assert luma_plane("yuv422p10le", FULL) == (np.uint16, (0, 1023))
     assert luma_plane("p010le", LIMITED) == (np.uint16, (64 << 6, 940 << 6))
-    assert luma_plane("yuvj420p", LIMITED) == (np.uint8, None)  # its name says full
+    assert luma_plane("yuvj420p", LIMITED) == (np.uint8, (0, 255))  # its name says full
     for name in ("rgb24", "pal8", "yuyv422", "yuv420p10be", "grayf32le", "ya8", "bayer_rggb8"):
         assert luma_plane(name, LIMITED) is None
     frame = filled("yuv420p", RAMP)

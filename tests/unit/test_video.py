@@ -33,7 +33,7 @@ from dlgmd_cli.video.timestamps import FrameClock, frame_rates, steady_fps
 NAN = math.nan
 
 
-def to_luminance(image, size_wh, levels=None):
+def to_luminance(image, size_wh, levels=(0, 255)):
     return Frame(0, 0.0, to_grey(image, size_wh, levels)).luminance
 
 
@@ -99,8 +99,8 @@ def test_luminance_of_grey_and_colour(depth):
     top = np.iinfo(depth).max
     image = np.full((6, 8, 3), np.array([0.2, 0.5, 0.9]) * top).astype(depth)
     expected = 0.114 * 0.2 + 0.587 * 0.5 + 0.299 * 0.9
-    assert to_luminance(image, (8, 6)) == pytest.approx(expected, abs=1.5 / top)
-    luminance = to_luminance(image[:, :, 0], (8, 6))
+    assert to_luminance(image, (8, 6), (0, top)) == pytest.approx(expected, abs=1.5 / top)
+    luminance = to_luminance(image[:, :, 0], (8, 6), (0, top))
     assert luminance.dtype == np.float32 and luminance == pytest.approx(0.2, abs=1.5 / top)
 
 
