@@ -39,9 +39,9 @@ BLIND_WORDS = {
 }
 # Interval (s) between checks of the stop flag while no frame comes.
 _WAIT_S = 0.1
-# A source is lost after SILENT_S seconds without a frame, or _OPENING_S before the first frame.
-# SILENT_S and the time to notice the loss together are 1 s.
-SILENT_S, _OPENING_S = 0.9, 5.0
+# A source is lost after SILENT_S seconds without a frame, also before its first frame. SILENT_S and
+# the time to notice the loss together are 1 s.
+SILENT_S = 0.9
 # Frames for half a second, less than this many seconds apart, end the loss.
 _SOON_S = 0.3
 
@@ -429,8 +429,7 @@ class SourceState:
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
-        limit_s = max(SILENT_S, usual_s) if source.n_frames else _OPENING_S
-        self.is_silent = silent_s > limit_s and not source.may_pause
+        self.is_silent = silent_s > max(SILENT_S, usual_s) and not source.may_pause
         if row is not None:
             self._blind = row.blind or ""
         is_lost = source.is_lost or self.is_silent

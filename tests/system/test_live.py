@@ -698,6 +698,22 @@ def test_a_silent_source_is_lost(caplog):
     assert "blind, no frame for" in lines[0] and "recovered" in lines[-1] and len(lines) == 2
 
 
+def test_a_source_without_a_sender_is_lost_within_a_second():
+    """As ``udp://``, whose opening blocks until something comes."""
+    go_on = threading.Event()
+
+    def shots():
+        assert go_on.wait(SOON_S)
+        yield Shot(PAN[0], None, time.monotonic())
+
+    source, began_s = source_of(shots), time.monotonic()
+    with source:
+        found = next(one for one in Watch(source, alarm_of(3), SourceState(source)).answers() if one)
+        passed_s = time.monotonic() - began_s
+        go_on.set()
+    assert (found.event, found.reason) == ("blind", "lost") and passed_s < 1.5
+
+
 def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
     monkeypatch.setattr(live_source, "FIRST_PAUSE_S", 0.3)
     monkeypatch.setattr(watch, "SOUND_S", 0.2)
