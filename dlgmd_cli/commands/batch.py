@@ -15,6 +15,8 @@ def model_setups(
     pairs: tuple[str, ...] = (),
     alarm: str | None = None,
     threshold: float | None = None,
+    speed_m_s: str | None = None,
+    brake: str | None = None,
 ) -> "list[options.Setup]":
     """All models that the options name, each once."""
     from dlgmd_cli.tasks.call import DLGMD, at_threshold, choose, with_rule
@@ -23,7 +25,7 @@ def model_setups(
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
     param = with_rule(options.overrides(pairs), alarm)
-    return [at_threshold(choose(name, param), threshold) for name in named]
+    return [at_threshold(choose(name, param), threshold, speed_m_s, brake) for name in named]
 
 
 @click.command(cls=Command)
@@ -31,7 +33,9 @@ def model_setups(
     "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=options.complete_file
 )
 @options.setup_options(
-    model_setups, options.param_option, options.alarm_option, options.threshold_option
+    model_setups,
+    *(options.param_option, options.alarm_option, options.threshold_option),
+    *(options.speed_option, options.brake_option),
 )
 @options.input_options(
     *("size", "fps", "crop", "mask", "repeats", "input_fps", "decoder", "normalise"),

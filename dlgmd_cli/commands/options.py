@@ -489,6 +489,20 @@ def input_options(*names: str, argument: str = "") -> Option:
 
 
 _stopping_option = partial(click.option, cls=SectionOption, section="Stop")
+brake_option = _stopping_option(
+    "--brake",
+    metavar="HOW",
+    help="Who brakes, with which distance: 'arducopter' in its mode BRAKE as it comes; "
+    "'arducopter:20' with this PSC_JERK_XY; 'px4' in Hold, by its source; 'tilt' of your own "
+    "controller; '1.7s', the distance over the speed; '4.6', a constant deceleration in m/s².  "
+    "[default: arducopter:20]",
+)
+speed_option = click.option(
+    "--speed-m-s",
+    metavar="M/S",
+    help="With the rule expansion or ttc: alarm in time for a stop from this speed by --brake, "
+    "after a reaction of 0.1 s.",
+)
 stopping_options = option_group(
     "",
     dict,
@@ -500,24 +514,18 @@ stopping_options = option_group(
         metavar="S",
         help="Time from an alarm to the first command.",
     ),
-    _stopping_option(
-        "--brake",
-        type=numeric(low=0.1, high=100),
-        metavar="M/S²",
-        help="Constant deceleration from the first command on, 0.1 to 100, in place of --tilt and "
-        "--jerk.",
-    ),
+    brake_option,
     _stopping_option(
         "--tilt",
         type=numeric(low=5, high=45),
         metavar="DEG",
-        help="Greatest tilt of a stabilised drone, 5 to 45 degrees.  [default: 25]",
+        help="Greatest tilt of your own controller, 5 to 45 degrees.  [default with tilt: 25]",
     ),
     _stopping_option(
         "--jerk",
         type=numeric(low=0.1, high=1000),
         metavar="M/S³",
-        help="Growth of the deceleration of a stabilised drone.  [default: 8]",
+        help="Growth of the deceleration of your own controller.  [default with tilt: 8]",
     ),
 )
 

@@ -14,12 +14,8 @@ from dlgmd_cli.results.files import RUN, in_words
 @options.model_options
 @options.alarm_option
 @options.threshold_option
-@click.option(
-    "--speed-m-s",
-    metavar="M/S",
-    help="With the rule expansion or ttc: alarm in time for a stop from this speed, as 'dlgmd live'"
-    " does, with a reaction of 0.1 s, 25 degrees of tilt and 8 m/s³ of jerk.",
-)
+@options.speed_option
+@options.brake_option
 @options.input_options(
     *("size", "scale", "fps", "start", "end", "crop", "mask", "repeats", "input_fps", "times"),
     *("bit_depth", "topic", "decoder", "normalise", "fov", "camera_tilt", "heading"),

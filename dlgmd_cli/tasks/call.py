@@ -183,16 +183,23 @@ def choose_all(
 
 
 def at_threshold(
-    setup: Setup, threshold: float | None = None, speed_m_s: float | str | None = None
+    setup: Setup,
+    threshold: float | None = None,
+    speed_m_s: float | str | None = None,
+    brake: str | float | None = None,
 ) -> Setup:
     """The model with another threshold of its rule, or with one in time for a stop from a speed.
 
-    Raises ParameterError if the rule has no such threshold, or if both are given.
+    Raises ParameterError if the rule has no such threshold, if both are given, or if there is a
+    brake without a speed.
     """
     params = setup.params
+    if brake is not None and speed_m_s is None:
+        need = argument("speed_m_s")
+        raise ParameterError("", f"{argument('brake')} works only with {need}", f"Add {need}.")
     if (speed := stopping.speed_of(speed_m_s)) is not None:
         stopping.require_followed(params, threshold)
-        params = stopping.following(params, stopping.brakes_of(), float(speed))
+        params = stopping.following(params, stopping.brake_of(brake), float(speed))
     elif threshold is not None:
         rule = rule_of(params)
         if not rule.key:
@@ -276,12 +283,12 @@ def fold(
     `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
     given = dict(options)
-    threshold, speed_m_s = given.pop("threshold", None), given.pop("speed_m_s", None)
+    at = {name: given.pop(name, None) for name in ("threshold", "speed_m_s", "brake")}
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation)
-    setups = [at_threshold(setup, threshold, speed_m_s) for setup in setups]
+    setups = [at_threshold(setup, **at) for setup in setups]
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
         if not rule.uses_level:

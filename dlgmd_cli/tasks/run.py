@@ -74,7 +74,8 @@ def run(
         `end` (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`. `alarm`:
         the rule, a name, a subclass of `Rule` or ``"package.module:Class"``. `threshold`: the
         rule's threshold. Both are for `batch`, `compare`, `evaluate`, `calibrate` and `layers`,
-        too. `speed_m_s`: a threshold in time for a stop from this speed, see `dlgmd run --help`.
+        too. `speed_m_s`: a threshold in time for a stop from this speed by `brake`
+        (``"arducopter:20"`` unless given), see `dlgmd run --help`.
 
     Returns
     -------

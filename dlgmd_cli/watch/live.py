@@ -86,8 +86,8 @@ class LiveOptions:
     mavlink_component: int = 196
     threshold: float | None = None
     speed_m_s: float | str | None = None
-    react: float = stopping.Brakes.react_s
-    brake: float | None = None
+    react: float = stopping.Brake.react_s
+    brake: str | float | None = None
     tilt: float | None = None
     jerk: float | None = None
     record: Path | None = None
@@ -331,16 +331,16 @@ def _at_speed(setup: Setup, chosen: LiveOptions) -> tuple[Setup, Callable[[float
     if speed is None:
         return setup, None
     stopping.require_followed(params, chosen.threshold)
-    brakes = stopping.brakes_of(chosen.react, chosen.brake, chosen.tilt, chosen.jerk)
+    brake = stopping.brake_of(chosen.brake, chosen.react, chosen.tilt, chosen.jerk)
     if speed != AUTOPILOT:
-        return replace(setup, params=stopping.following(params, brakes, float(speed))), None
+        return replace(setup, params=stopping.following(params, brake, float(speed))), None
     by_autopilot = argument("speed_m_s", AUTOPILOT)
     if chosen.mavlink is None:
         raise ParameterError("", f"{by_autopilot} works only with {argument('mavlink')}", "Add it.")
     if chosen.record is not None:
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
-    return setup, lambda m_s: stopping.threshold_for(params, brakes, m_s)
+    return setup, lambda m_s: stopping.threshold_for(params, brake, m_s)
 
 
 def _alarm(setup: Setup) -> Alarm:

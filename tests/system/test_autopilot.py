@@ -11,7 +11,7 @@ import pytest
 from conftest import free_port, until
 from watching import PATIENCE_S, ROOT, fed, lines_of, live
 
-from dlgmd_cli.models.stopping import MARGIN_S, stop_s
+from dlgmd_cli.models.stopping import MARGIN_S, Brake
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytestmark = [
@@ -126,7 +126,7 @@ def test_what_makes_a_drone_brake(kind, link, modes):
 
 def test_the_threshold_follows_the_speed_of_the_autopilot():
     rule = ("--alarm", "ttc", "--speed-m-s", "autopilot", "--brake", "5", "--react", "0.4")
-    needed_s = stop_s(1.0, react_s=0.4, brake_m_s2=5.0)
+    needed_s = 0.4 + Brake.parse(5).distance_m(1.0)
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
         flight.tells("begin", rule="ttc", ttc_alarm=1.25)
         flight.obey("speed 1")

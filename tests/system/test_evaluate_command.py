@@ -141,7 +141,7 @@ def test_a_speed_says_what_is_in_time(runs, footage):
 
     kind, lead_s = outcome()
     assert kind == "too_late" and lead_s < 0.5  # a stop from 4 m/s takes 0.8 s
-    assert yaml_of("ev/evaluate.yaml")["brakes"].startswith("0.1 s of reaction, 25° of tilt")
+    assert yaml_of("ev/evaluate.yaml")["brake"].endswith("ArduCopter with PSC_JERK_XY 20")
     brake = ("--brake", 100, "--react", 0)  # 4 m/s: 0.02 s
     assert outcome(*brake)[0] == "in_time"
     assert outcome(*brake, "--react", lead_s + 0.1)[0] == "too_late"
@@ -361,7 +361,7 @@ def test_the_times_of_contacts_and_approaches(footage):
     slow = signal_of(found, case, Stopping(speed_m_s=1.0))
     first, second = known.contacts
     assert (first.from_s, first.until_s, first.time_s) == pytest.approx((0.2 - 1.0, 0.6, 0.6))
-    assert second.until_s == pytest.approx(21 / 25 - Stopping().brakes.stop_s(2.0))
+    assert second.until_s == pytest.approx(21 / 25 - Stopping().brake.stop_s(2.0))
     assert second.from_s == second.until_s - 1.5
     assert [one.has_speed for one in (first, second, *slow.contacts)] == [False, True, True, True]
     assert known.near_s.tolist() == pytest.approx([3 / 25, 4 / 25])

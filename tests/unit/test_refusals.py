@@ -110,9 +110,15 @@ WRONG_USAGE = [
     ("run loom.avi --n-sp --quiet", "Did you mean '--param n_sp=VALUE'?"),
     ("run x.mp4 --set 9 --set 7", "--set is given 2 times"),
     ("run 'a\0b'", "an argument contains a NUL character."),
+    ("run loom.avi --brake 4", "--brake works only with --speed-m-s. Add --speed-m-s."),
+    ("batch . --brake 4", "--brake works only with --speed-m-s. Add --speed-m-s."),
+    ("run loom.avi --speed-m-s 2 --brake vtol", "'--brake': 'vtol' is not a number. Write arduc"),
     ("evaluate labels.csv --react -1", "'--react': -1 is not at least 0"),
     ("evaluate labels.csv --brake 1e-6", "'--brake': 1e-06 is not at least 0.1"),
-    ("evaluate labels.csv --brake 5 --jerk 8", "--brake does not work with --tilt or --jerk"),
+    (
+        "evaluate labels.csv --brake 5 --jerk 8",
+        "--tilt and --jerk exclude --brake 5. ",
+    ),
     (
         "evaluate labels.csv --max-false-per-min x",
         "'--max-false-per-min': 'x' is not a number",

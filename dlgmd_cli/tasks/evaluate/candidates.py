@@ -16,7 +16,7 @@ from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.normalise import params_at_scale
 from dlgmd_cli.models.rules import Rule, rule_of
-from dlgmd_cli.models.stopping import Brakes
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
@@ -110,18 +110,18 @@ class Stopping:
 
     Attributes
     ----------
-    brakes : Brakes
+    brake : Brake
     speed_m_s : float or None
         The speed at every contact; None for the speed in each label.
     """
 
-    brakes: Brakes = field(default_factory=Brakes)
+    brake: Brake = field(default_factory=Brake)
     speed_m_s: float | None = None
 
     def stop_s(self, label: Label) -> float | None:
         """Time before contact at which a stop must begin, in seconds; None if no speed is known."""
         speed_m_s = label.speed_m_s if self.speed_m_s is None else self.speed_m_s
-        return None if speed_m_s is None else self.brakes.stop_s(speed_m_s)
+        return None if speed_m_s is None else self.brake.stop_s(speed_m_s)
 
 
 def signal_of(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
-from dlgmd_cli.models.stopping import brakes_of, speed_of
+from dlgmd_cli.models.stopping import brake_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
@@ -62,7 +62,7 @@ def evaluate(
     max_false_per_min: float = 1.0,
     speed_m_s: float | None = None,
     react: float = 0.1,
-    brake: float | None = None,
+    brake: str | float | None = None,
     tilt: float | None = None,
     jerk: float | None = None,
     baselines: bool = True,
@@ -91,10 +91,10 @@ def evaluate(
         Greatest number of false alarms per minute that the best threshold may have.
     speed_m_s : float, optional
         The speed at every contact, in place of the speeds in the labels.
-    react, brake, tilt, jerk : float
-        A drone's braking, see `stop_s`. After `react` seconds, the drone decelerates with `brake`
-        in m/s² at once, or with a `tilt` in degrees (25 unless given) that it reaches with a `jerk`
-        in m/s³ (8).
+    react, brake, tilt, jerk : float or str
+        Who brakes, `react` seconds after the alarm, as `models.stopping.Brake.parse` reads it:
+        ``"arducopter:20"`` (unless given), ``"px4"``, ``"1.7s"``, a deceleration in m/s². Or a
+        controller of one's own, with a `tilt` in degrees (25) and a `jerk` in m/s³ (8).
     baselines : bool
         Also score the sum of P, and the expansion rate of tracked corners.
     jobs, progress
@@ -130,8 +130,7 @@ def evaluate(
     """
     max_false_per_min = false_per_min(max_false_per_min)
     speed = speed_of(speed_m_s)
-    brakes = brakes_of(react, brake, tilt, jerk)
-    stopping = Stopping(brakes, None if speed is None else float(speed))
+    stopping = Stopping(brake_of(brake, react, tilt, jerk), None if speed is None else float(speed))
     if results is not None:
         given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
         refuse({**given, **options}, "does not work with results, which are there already")
@@ -310,7 +309,7 @@ class Evaluation(Outcome):
             **self.counts(),
             "max_false_per_min": self.max_false_per_min,
             **speed,
-            "brakes": str(stopping.brakes),
+            "brake": str(stopping.brake),
             "models": [candidate.described() for candidate in candidates],
             "options": next(iter(candidates)).record.get("options", {}),
         }
@@ -438,7 +437,7 @@ class Evaluation(Outcome):
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
         """The outcomes of the contacts, and the number of justified alarms."""
         names = [*reversed(OUTCOMES), "justified"]
-        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brakes}:"
+        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brake}:"
         cells = [
             (row["model"], tables.threshold_cell(row), *(str(row[name]) for name in names))
             for row in rows

@@ -141,7 +141,7 @@ def sweep(
     if video is None:
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
     refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
-    of_rule = {name: options.get(name) for name in ("alarm", "threshold", "speed_m_s")}
+    of_rule = {name: options.get(name) for name in ("alarm", "threshold", "speed_m_s", "brake")}
     of_rule["alarm"] = of_rule["alarm"] or (param or {}).get("alarm")
     refuse(of_rule, "does not work here: the alarms of a sweep are those of the rule spikes")
     formats = store.known_formats(formats)
