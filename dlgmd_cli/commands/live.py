@@ -78,8 +78,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--mavlink",
     metavar="URL",
     help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT, to "
-    "serial:///dev/ttyACM0:57600, or, with udpin://PORT, to any program that sends to this port; "
-    "needs dlgmd[live].",
+    "serial:///dev/ttyACM0:57600, or, with udpin://[HOST:]PORT, to any program that sends to this "
+    "port; needs dlgmd[live].",
 )
 @autopilot_option(
     "--mavlink-brake",
@@ -103,7 +103,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-signing",
     metavar="KEYFILE",
-    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do.",
+    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do, and "
+    "drop those that are not signed by it.",
 )
 @autopilot_option(
     "--mavlink-system",

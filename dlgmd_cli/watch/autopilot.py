@@ -137,10 +137,15 @@ class Autopilot:
         is_pilot = message.get_srcComponent() == self._names.MAV_COMP_ID_AUTOPILOT1
         return is_beat and is_pilot and message.get_srcSystem() != self._system
 
+    def is_beat(self, message: Any) -> bool:
+        """Whether a message is a vehicle's heartbeat."""
+        is_beat = message.get_type() == "HEARTBEAT"
+        return is_beat and message.autopilot != self._names.MAV_AUTOPILOT_INVALID
+
     def step(self, message: Any) -> None:
         """Update the state from one of the autopilot's messages."""
         names, kind = self._names, message.get_type()
-        if kind == "HEARTBEAT" and message.autopilot != names.MAV_AUTOPILOT_INVALID:
+        if self.is_beat(message):
             self.heard_s, self._base_mode = time.monotonic(), message.base_mode
             has_number = message.base_mode & names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             self.number = message.custom_mode if has_number else -1

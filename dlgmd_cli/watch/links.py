@@ -24,7 +24,7 @@ class SocketLink:
     """Datagrams to ``HOST:PORT``, or to the heard senders; raises OSError, ValueError."""
 
     def __init__(self, place: str, *, listens: bool) -> None:
-        host, port = split_address(place, argument("mavlink"), "0.0.0.0" if listens else None)
+        host, port = split_address(place, argument("mavlink"), "127.0.0.1" if listens else None)
         self._socket, self._target = datagram_socket(host, port)
         self._listens = listens
         self._socket.setblocking(False)

@@ -707,8 +707,9 @@ def test_a_source_without_a_sender_is_lost_within_a_second():
         yield Shot(PAN[0], None, time.monotonic())
 
     source, began_s = source_of(shots), time.monotonic()
+    watching = Watch(source, alarm_of(3), SourceState(source))
     with source:
-        found = next(one for one in Watch(source, alarm_of(3), SourceState(source)).answers() if one)
+        found = next(one for one in watching.answers() if one is not None)
         passed_s = time.monotonic() - began_s
         go_on.set()
     assert (found.event, found.reason) == ("blind", "lost") and passed_s < 1.5

@@ -159,6 +159,72 @@ def test_messages_are_signed(link, clock, tmp_path):
         mavlink.Mavlink("udp://x:1", Reports(), signing=str(tmp_path / "none"))
 
 
+KEY = hashlib.sha256(b"over the hills").digest()
+
+
+def signed(link, clock, tmp_path, key=KEY):
+    """A watch that is told to brake and has the key, its reports, and an autopilot with a key."""
+    (tmp_path / "key").write_text("over the hills")
+    send, reports = braking(signing=str(tmp_path / "key"))
+    pilot = Pilot(link, place=HERE)
+    pilot.mav.signing.secret_key, pilot.mav.signing.sign_outgoing = key, True
+    pilot.mav.signing.timestamp = send._mav.signing.timestamp
+    return send, reports, pilot
+
+
+def test_with_a_key_no_forger_counts(link, clock, tmp_path, caplog):
+    """Neither unsigned, nor by another key "from the future", nor what was sent before."""
+    send, reports, pilot = signed(link, clock, tmp_path)
+    forgers = [Pilot(link, place=("10.0.0.9", number)) for number in (1, 2)]
+    forgers[1].mav.signing.secret_key, forgers[1].mav.signing.sign_outgoing = bytes(32), True
+    forgers[1].mav.signing.timestamp = pilot.mav.signing.timestamp + 10**9
+    for _ in range(20):
+        for forger in forgers:
+            forger.heartbeat(STABILIZE, armed=False)
+        pilot.heartbeat()
+        link.others.append((("10.0.0.9", 3), link.others[-1][1]))  # what it has heard
+        forgers[0].mav.radio_status_send(0, 0, 0, 0, 0, 0, 0)  # as a radio does, and is not told
+        send.beat()
+        clock.now += 1.0
+    assert [*reports] == [
+        ("unsigned", {"why": "not signed", "address": "10.0.0.9:1"}),
+        ("unsigned", {"why": "signed with another key", "address": "10.0.0.9:2"}),
+        ("unsigned", {"why": "old, or sent twice", "address": "10.0.0.9:3"}),
+        ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True}),
+    ]
+    send(answer(True, event="begin", captured_s=clock.now))
+    assert commands(link) == [(176, 0, 129, BRAKE, 0)]
+    send.close()
+    flaws = "not signed", "signed with another key", "old, or sent twice"
+    assert caplog.messages == [f"mavlink: dropped 20 messages: {flaw}" for flaw in flaws]
+
+
+def test_a_wrong_key_is_told_from_no_answer(link, clock, tmp_path):
+    send, reports, pilot = signed(link, clock, tmp_path, key=bytes(32))
+    pilot.heartbeat()
+    send.beat()
+    assert reports[0] == (
+        "unsigned",
+        {"why": "signed with another key", "address": "127.0.0.1:9"},
+    )
+    clock.now += 3.1
+    send.beat()
+    assert reports[1] == ("autopilot", {"heard": False}) and len(reports) == 2
+
+
+def test_an_autopilot_without_a_clock_is_answered_until_its_time_is_right(link, clock, tmp_path):
+    """By MAVLink's rules, it takes the time of what it gets."""
+    send, reports, pilot = signed(link, clock, tmp_path)
+    now, pilot.mav.signing.timestamp = pilot.mav.signing.timestamp, 1
+    pilot.heartbeat()
+    send.beat()
+    assert reports[0][1]["why"] == "old, or sent twice" and ("HEARTBEAT", HERE) in link.sent_to
+    pilot.mav.signing.timestamp = now
+    pilot.heartbeat()
+    send.beat()
+    assert reports[1] == ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True})
+
+
 def braking(modes="GUIDED", **more):
     reports = Reports()
     send = mavlink.Mavlink("udp://x:1", reports, modes=known_modes(modes), **more)
@@ -175,6 +241,7 @@ def told(reports):
 def commands(link):
     """The commands of a mode; after each, a heartbeat is asked for."""
     sent = [one for one in link.of("COMMAND_LONG") if one.command != SET_INTERVAL]
+    sent = [one for one in sent if (one.command, one.param1) != (512, 2)]  # the time of its start
     modes, beats = sent[::2], sent[1::2]
     assert all((one.command, one.param1) == (512, 0) for one in beats)
     return [
@@ -260,7 +327,9 @@ def test_the_heartbeat_goes_on_without_frames(link, monkeypatch):
 def test_the_state_of_the_autopilot_is_reported(link, clock):
     send, reports = braking()
     pilot = Pilot(link)
-    send.beat()
+    for _ in range(2):  # an autopilot that is there is not called lost before its first heartbeat
+        send.beat()
+        clock.now += 0.9
     pilot.heartbeat()
     send.beat()
     send.beat()
@@ -269,7 +338,6 @@ def test_the_state_of_the_autopilot_is_reported(link, clock):
     clock.now += 3.1
     send.beat()
     assert [*reports] == [
-        ("autopilot", {"heard": False}),
         ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True}),
         ("autopilot", {"heard": True, "mode": "STABILIZE", "armed": False}),
         ("autopilot", {"heard": False}),
@@ -379,6 +447,7 @@ def test_others_are_not_the_autopilot(link, clock):
     send, reports = braking(system=3)
     for source in ((3, 154), (1, 1), (255, 190)):
         Pilot(link, source=source).heartbeat()
+    clock.now += 3.0
     send.beat()
     assert reports == Reports([("autopilot", {"heard": False})])
     Pilot(link, source=(3, 1)).heartbeat()
@@ -753,22 +822,57 @@ def test_commands_go_to_the_autopilot_alone(link, clock):
     assert {place for _, place in link.sent_to} == {GROUND}
 
 
-def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
-    """Until one of them has been silent for 5 s."""
+def two(link, clock, apart_ms):
+    """Two addresses that speak as the autopilot, and say when they were started; the reports."""
     send, reports = braking()
     first, second = (Pilot(link, place=place) for place in COPTERS)
     first.heartbeat()
-    second.heartbeat()
+    second.heartbeat(STABILIZE, armed=False)
+    send.beat()
+    first.mav.attitude_send(90_000, 0, 0, 0, 0, 0, 0)
+    if apart_ms is not None:
+        second.mav.system_time_send(0, 90_000 + apart_ms)
     send(answer(True, event="begin", captured_s=clock.now))
-    state = {"heard": True, "mode": "GUIDED", "armed": True, "addresses": 2}
-    assert reports[0] == ("autopilot", state) and not commands(link)
-    assert told(reports) == [("brake-withheld", {"why": "two addresses speak for the autopilot"})]
+    return send, reports, first
+
+
+@pytest.mark.parametrize(("apart_ms", "are"), [(300, "links of one autopilot"), (None, "unknown")])
+def test_the_first_address_stays_the_autopilot(link, clock, apart_ms, are):
+    """Be the other another of its links, or whoever: it is named, and not heeded."""
+    _, reports, _ = two(link, clock, apart_ms)
+    state = {"heard": True, "mode": "GUIDED", "armed": True}
+    addresses = {"addresses": ["127.0.0.1:2", "127.0.0.1:3"]}
+    assert reports[-2] == ("autopilot", state | addresses | {"are": are})
+    assert commands(link) == [(176, 0, 129, BRAKE, 0)]
+    orders = {place for kind, place in link.sent_to if kind == "COMMAND_LONG"}
+    assert orders == {*COPTERS}  # the second one is asked when it was started
+
+
+def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
+    """Until one of them has been silent for 5 s."""
+    send, reports, first = two(link, clock, 5_000)
+    assert reports[1][1]["are"] == "several autopilots" and not commands(link)
+    assert told(reports) == [("brake-withheld", {"why": "several autopilots of system 1"})]
+    link.sent_to.clear()
     for _ in range(80):
         clock.now += 0.1
         first.heartbeat()
         send(answer(True, captured_s=clock.now))
     assert len(commands(link)) == 10  # it does not answer
     assert {place for kind, place in link.sent_to if kind == "COMMAND_LONG"} == {COPTERS[0]}
+
+
+def test_another_address_becomes_the_autopilot_after_five_seconds(link, clock):
+    send, reports = braking()
+    first, second = (Pilot(link, place=place) for place in COPTERS)
+    first.heartbeat()
+    for number in range(60):
+        second.heartbeat(STABILIZE)
+        send.beat()
+        clock.now += 0.1
+        if number in (28, 49):
+            assert reports[-1][1].get("mode", "") == ("GUIDED" if number == 28 else "")
+    assert reports[-1] == ("autopilot", {"heard": True, "mode": "STABILIZE", "armed": True})
 
 
 def test_another_system_is_a_hint(link, clock, caplog):
@@ -838,7 +942,8 @@ def test_the_socket_that_listens_answers_who_sends():
         other.bind(("127.0.0.1", 0))
         other.settimeout(SOON_S)
         port = free_port()
-        link = links.open_link(f"udpin://127.0.0.1:{port}")
+        link = links.open_link(f"udpin://{port}")  # of this machine alone
+        assert link._socket.getsockname() == ("127.0.0.1", port)
         link.write(b"nobody is there yet", [])
         assert [*link.read()] == []
         other.sendto(b"here", ("127.0.0.1", port))
