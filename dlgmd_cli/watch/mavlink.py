@@ -4,10 +4,13 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
+from dlgmd_cli import Rule
 from dlgmd_cli.errors import Once, ParameterError, argument, counted
+from dlgmd_cli.models.stopping import Brake as StoppingBrake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import HEARD_S, MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.watch.brake import Brake
@@ -16,6 +19,7 @@ from dlgmd_cli.watch.load import RATE, in_words
 from dlgmd_cli.watch.peers import AUTOPILOTS, Peer, Peers
 from dlgmd_cli.watch.reports import Reports
 from dlgmd_cli.watch.signing import OLD, Signing, key_in
+from dlgmd_cli.watch.stop import Stop
 from dlgmd_cli.watch.watch import BEGIN, BLIND, END, SEES, Answer
 
 _log = logging.getLogger(__name__)
@@ -72,6 +76,9 @@ class Mavlink:
     signing : str, optional
         File with the passphrase to sign messages with; its SHA-256 is the key, as in MAVProxy.
         What comes without a right signature is dropped.
+    rule, react_s : Rule or None, float
+        The rule that raises the alarms, None if its threshold follows the speed, and the time from
+        an alarm to the command: an alarm that is too late for the stop is warned of, see `Stop`.
 
     Raises
     ------
@@ -93,6 +100,8 @@ class Mavlink:
         modes: Collection[str] = (),
         braking: Sequence[str] = (),
         signing: str | None = None,
+        rule: Rule | None = None,
+        react_s: float = StoppingBrake.react_s,
     ) -> None:
         key = None if signing is None else key_in(signing)
         self._names = names = dialect()[0]
@@ -106,9 +115,11 @@ class Mavlink:
         self._mav = names.MAVLink(self, system, component)
         self._signing, self._dropped = Signing(self._mav, key), Counter[str]()
         self._reports, self._own = reports, (system, component)
+        self._target = system, names.MAV_COMP_ID_AUTOPILOT1
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
+        self._stop = Stop(self._pilot, self._ask_parameter, rule, react_s)
         self._peers = Peers(self._new_parser)
         self._towards: list[Address] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
@@ -152,13 +163,17 @@ class Mavlink:
         """Read messages, and repeat a command or send a heartbeat if due."""
         self._read()
         now_s, state = time.monotonic(), {**self._pilot.to_dict(), **self._peers.facts()}
+        if self._is_to_brake:
+            state |= self._step_stop()
         self._reports.speed_m_s = self._pilot.speed_m_s
         self._reports.motion = self._pilot.move()
         self._ask(now_s)
         is_early = now_s - self._begin_s < HEARD_S and not self._pilot.is_heard
         if state != self._reported and not is_early:
             self._reported = state
-            self._report(AUTOPILOT, **state)
+            stop_s = self._stop.stop_s() if "brake" in state else math.nan
+            at_speed = {} if math.isnan(stop_s) else {"stop_s": round(stop_s, 2)}
+            self._report(AUTOPILOT, **state, **at_speed)
         self._brake.step(self._objection())
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
@@ -226,6 +241,22 @@ class Mavlink:
         ):
             self._order(names.MAV_CMD_SET_MESSAGE_INTERVAL, (number, _MOTION_US, 0))
 
+    def _step_stop(self) -> dict[str, Json]:
+        """Find out how the autopilot stops; returns the entries for the event."""
+        self._stop.step()
+        self._reports.brake = self._stop.brake
+        if line := self._stop.warning():
+            _log.warning("%s: %s", argument("mavlink"), line)
+        for mode in self._pilot.brakes:
+            if mode.follows_throttle:
+                what = "with a throttle stick at the bottom, the drone sinks"
+                self._warn_once(f"in {mode.name}, {what}; put it into the middle")
+        return self._stop.facts() if self._pilot.is_heard else {}
+
+    def _ask_parameter(self, name: str) -> None:
+        with self._only_to(self._peers.speakers()[:1]):
+            self._mav.param_request_read_send(*self._target, name.encode(), -1)
+
     def _ask_others(self, now_s: float) -> None:
         """Ask who else speaks as the autopilot when it was started, see `Peers`."""
         names, others = self._names, self._peers.speakers()[1:]
@@ -242,10 +273,15 @@ class Mavlink:
         to: Sequence[Peer] = (),
     ) -> None:
         """Send a command with its first three parameters to the autopilot alone, or `to` others."""
-        target = self._own[0], self._names.MAV_COMP_ID_AUTOPILOT1
-        self._towards = [peer.place for peer in to or self._peers.speakers()[:1]]
+        with self._only_to(to or self._peers.speakers()[:1]):
+            self._mav.command_long_send(*self._target, command, n_before, *numbers, 0, 0, 0, 0)
+
+    @contextmanager
+    def _only_to(self, peers: Sequence[Peer]) -> Iterator[None]:
+        """Send to these senders alone meanwhile."""
+        self._towards = [peer.place for peer in peers]
         try:
-            self._mav.command_long_send(*target, command, n_before, *numbers, 0, 0, 0, 0)
+            yield
         finally:
             self._towards = None
 

@@ -19,9 +19,10 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.watch import links, mavlink, outputs
-from dlgmd_cli.watch.autopilot import braking_modes, known_modes
+from dlgmd_cli.watch.autopilot import JERKS, braking_modes, known_modes
 from dlgmd_cli.watch.heading import Heading, along_axes, direction_of
 from dlgmd_cli.watch.reports import Reports
 from dlgmd_cli.watch.watch import Answer
@@ -186,7 +187,7 @@ def test_with_a_key_no_forger_counts(link, clock, tmp_path, caplog):
         forgers[0].mav.radio_status_send(0, 0, 0, 0, 0, 0, 0)  # as a radio does, and is not told
         send.beat()
         clock.now += 1.0
-    assert [*reports] == [
+    assert [*reports][:4] == [
         ("unsigned", {"why": "not signed", "address": "10.0.0.9:1"}),
         ("unsigned", {"why": "signed with another key", "address": "10.0.0.9:2"}),
         ("unsigned", {"why": "old, or sent twice", "address": "10.0.0.9:3"}),
@@ -745,6 +746,94 @@ def test_land_only_where_it_is_named(link, clock):
     assert told(reports)[-1] == ("brake-confirmed", {"mode": "LAND", "number": 1})
 
 
+@pytest.mark.parametrize(
+    ("pilot", "mode", "name"), [(ARDUPILOT, 2, "ALT_HOLD"), (PX4, 2 << 16, "ALTCTL")]
+)
+def test_a_mode_that_only_holds_a_height_is_no_brake(link, clock, caplog, pilot, mode, name):
+    """The drone flies on, and sinks with the throttle stick: both are told."""
+    before = MISSION if pilot == PX4 else GUIDED
+    more = {"pilot": pilot, "mode": before, "braking": [name]}
+    drone, reports = flying(link, clock, "GUIDED,MISSION", **more)
+    drone.alarm(2.0)
+    assert drone.mode == mode and told(reports)[-1] == ("height-held", {"mode": name, "number": 1})
+    assert texts(link)[-1] == f"NOT BRAKING: {name} holds the height alone"
+    what = "with a throttle stick at the bottom, the drone sinks; put it into the middle"
+    assert caplog.messages == [f"mavlink: in {name}, {what}"]
+
+
+# The stop.
+
+
+def stops(link, clock, speed_m_s=3.0, jerk=None, seconds=5.0, name="PSC_JERK_XY", **more):
+    """Let a drone fly that answers for its jerk, if any; the reports."""
+    drone, reports = flying(link, clock, **more)
+    for _ in range(int(seconds)):
+        drone.mav.local_position_ned_send(0, 0, 0, 0, 0, speed_m_s, 0)
+        if jerk is not None and link.of("PARAM_REQUEST_READ"):
+            drone.mav.param_value_send(name.encode(), jerk, 9, 1, 0)
+        drone.live(1.0)
+    return reports
+
+
+def asked_for(link):
+    return [one.param_id for one in link.of("PARAM_REQUEST_READ")]
+
+
+@pytest.mark.parametrize("name", JERKS)
+def test_arducopter_tells_its_stop(link, clock, name):
+    """The parameter has another name in later versions; it is read once, and none is written."""
+    reports = stops(link, clock, jerk=20.0, name=name)
+    assert asked_for(link) == [*JERKS] and not link.of("PARAM_SET")
+    state = {"heard": True, "mode": "GUIDED", "armed": True}
+    needed_s = round(Brake.parse("arducopter:20").stop_s(3.0), 2)
+    stop = {"brake": "arducopter:20", "brake_by": name, "stop_s": needed_s}
+    assert [*reports] == [("autopilot", state | stop)]
+    assert reports.brake == Brake.parse("arducopter:20")
+
+
+def test_without_an_answer_the_default_is_assumed(link, clock):
+    reports = stops(link, clock)
+    assert len(asked_for(link)) == 3 * len(JERKS)
+    facts = reports[-1][1]
+    assert (facts["brake"], facts["brake_by"]) == ("arducopter", "default, no answer")
+    assert reports.brake == Brake.parse("arducopter") and facts["stop_s"] > 1.7
+
+
+def test_px4_is_not_asked(link, clock):
+    reports = stops(link, clock, pilot=PX4, mode=MISSION, modes="MISSION")
+    assert not asked_for(link) and reports.brake == Brake.parse("px4")
+
+
+@pytest.mark.parametrize(
+    ("jerk", "speed_m_s", "is_armed", "cure"),
+    [
+        (5.0, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (5.0, 5.0, True, "set PSC_JERK_XY to 15, which"),
+        (None, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (20.0, 3.0, True, None),
+        (5.0, 3.0, False, None),
+        (5.0, 0.2, True, None),
+    ],
+)
+def test_an_alarm_that_is_too_late_is_warned_of(
+    link, clock, caplog, jerk, speed_m_s, is_armed, cure
+):
+    """Once, armed and moving: which parameter, which value, and what it costs."""
+    send, _ = braking(rule=Alarm().rule)
+    drone = Drone(link, clock, send)
+    drone.is_armed = is_armed
+    for _ in range(8):
+        drone.mav.local_position_ned_send(0, 0, 0, 0, 0, speed_m_s, 0)
+        if jerk is not None:
+            drone.mav.param_value_send(b"PSC_JERK_XY", jerk, 9, 1, 0)
+        drone.live(1.0)
+    lines = [line for line in caplog.messages if "is too late for a stop" in line]
+    assert len(lines) == (cure is not None)
+    for line in lines:
+        assert f"at {speed_m_s} m/s, expansion_alarm 0.48" in line and cure in line
+        assert "false alarms" in line
+
+
 def test_a_command_is_not_sent_again_to_what_is_not_armed_any_more(link, clock):
     drone, reports = flying(link, clock)
     drone.result = None
@@ -888,8 +977,8 @@ def test_another_system_is_a_hint(link, clock, caplog):
 
 
 def test_mavlink_addresses():
-    with pytest.raises(ValueError, match="only udp://, udpin:// and serial://"):
-        links.open_link("tcp://a:5")
+    with pytest.raises(ValueError, match="only udp://, udpin://, tcp:// and serial://"):
+        links.open_link("http://a:5")
     assert links.serial_place("/dev/ttyACM0:115200") == ("/dev/ttyACM0", 115200)
     assert links.serial_place("/dev/ttyS1") == ("/dev/ttyS1", 57600)
 
@@ -937,6 +1026,26 @@ def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch
     assert capfd.readouterr().out == ""  # nothing but JSON is ever on stdout
 
 
+@pytest.mark.parametrize("scheme", ["tcp:", "tcp://"])
+def test_a_tcp_connection_that_ends_is_made_again(monkeypatch, caplog, scheme):
+    monkeypatch.setattr(links, "AGAIN_S", 0.02)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = links.open_link(f"{scheme}127.0.0.1:{server.getsockname()[1]}")
+        got = []
+        for _ in range(2):
+            until(lambda: link.write(b"here", []) or select.select([server], [], [], 0.03)[0])
+            caplog.clear()
+            with server.accept()[0] as other:
+                other.sendall(b"there")
+                until(lambda: got.append([*link.read()]) or got[-1])
+                link.write(b"here", [])
+                assert got[-1] == [((), b"there")] and other.recv(4) == b"here"
+            until(lambda: [*link.read()] or "is lost" in caplog.text)
+        link.close()
+    with pytest.raises(ParameterError, match="is not HOST:PORT"):
+        links.open_link("tcp:here")
+
+
 def test_the_socket_that_listens_answers_who_sends():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
@@ -961,6 +1070,10 @@ def test_the_modes_that_brake_are_names():
     for text, why in (("GUIDET", "no mode 'GUIDET'. Did you mean GUIDED"), ("4,", "no mode ''")):
         with pytest.raises(ParameterError, match=why):
             known_modes(text)
+    with pytest.raises(
+        ParameterError, match=r"GUIDED does not brake\. Choose from BRAKE, HOLD, LOIT"
+    ):
+        braking_modes("BRAKE,GUIDED")
     with pytest.raises(ParameterError, match="17 is no name"):
         braking_modes("BRAKE,17")
     with pytest.raises(ParameterError, match=r"no mode 'BRAKES'\. Did you mean BRAKE\?"):
