@@ -463,11 +463,8 @@ class SourceState:
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:
-        """A line if a heading was used, and a line per reason for the time without a view."""
+        """A line per reason for the time without a view or a full answer."""
         lines = []
-        if self.n_headed:
-            frames = counted(self.n_headed, "frame")
-            lines.append(f"{frames} measured around the autopilot's heading")
         if self.n_without:
             frames = counted(self.n_without, "frame")
             lines.append(f"{frames} not answered in full: the computer was too busy")
