@@ -63,8 +63,8 @@ class Mavlink:
     ----------
     url : str
         ``udp://HOST:PORT`` to send to an address, ``udpin://[HOST:]PORT`` to answer senders (those
-        of this machine unless a host is given), or ``serial:///dev/ttyACM0:57600``. A lost serial
-        port is opened again.
+        of this machine unless a host is given), ``tcp:HOST:PORT``, or
+        ``serial:///dev/ttyACM0:57600``. A lost port or connection is opened again.
     reports : Reports
         Receives events, and the speed and motion of the drone.
     system, component : int
