@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli import Alarm, Rule
-from dlgmd_cli.errors import ParameterError, SourceError, argument, counted
+from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.facts import Json, Value, finite
@@ -137,9 +137,9 @@ class LiveOutcome(Outcome):
 
     Attributes
     ----------
-    n_frames, n_answered, n_dropped, n_left_out, n_alarms, n_headed : int
+    n_frames, n_answered, n_dropped, n_left_out, n_alarms : int
         Numbers of frames that came, of answers, of frames dropped, and left out because of the
-        rate; of alarms; of frames measured around the heading of the autopilot.
+        rate; of alarms.
     latency_ms : (float, float)
         Median and 99th percentile of the time from arrival to answer; NaN without frames.
     warnings : list of str
@@ -159,7 +159,6 @@ class LiveOutcome(Outcome):
     warnings: list[str] = field(default_factory=list)
     is_cut: bool = False
     is_heard: bool = True
-    n_headed: int = 0
     paths: tuple[Path, ...] = ()
 
     def rows(self) -> list[tuple[str, str]]:
@@ -175,8 +174,6 @@ class LiveOutcome(Outcome):
         ]
         if self.n_left_out:
             rows.insert(2, (f"left out by {argument('fps')}", f"{self.n_left_out}"))
-        if self.n_headed:
-            rows.append(("around the autopilot's heading", counted(self.n_headed, "frame")))
         if self.is_cut:
             rows.append(("complete", "no, a signal ended it"))
         return rows
@@ -188,10 +185,10 @@ class LiveOutcome(Outcome):
 
     def facts(self) -> dict[str, Json]:
         """The JSON object."""
-        numbers = ("n_frames", "n_answered", "n_dropped", "n_left_out", "n_alarms", "n_headed")
+        names = ("n_frames", "n_answered", "n_dropped", "n_left_out", "n_alarms", "warnings")
         latencies: list[Json] = [finite(value) for value in self.latency_ms]
         return {
-            **{name: getattr(self, name) for name in (*numbers, "warnings")},
+            **{name: getattr(self, name) for name in names},
             "latency_ms": latencies,
             **super().facts(),
         }
@@ -298,7 +295,6 @@ def live(
         state.warnings(),
         is_cut=recording is not None and cancel.requested(),
         is_heard=is_heard and not (recording is not None and recording.has_failed),
-        n_headed=state.n_headed,
         paths=(chosen.record,) if has_rows and chosen.record is not None else (),
     )
 
@@ -351,13 +347,8 @@ def _at_speed(
     if chosen.record is not None:
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
-    is_given = (chosen.brake, chosen.tilt, chosen.jerk) != (None, None, None)
-
-    def threshold_at(speed_m_s: float) -> float:
-        stop = brake if is_given else reports.brake or brake
-        return stopping.threshold_for(params, stop, speed_m_s)
-
-    return setup, threshold_at
+    given = None if (chosen.brake, chosen.tilt, chosen.jerk) == (None, None, None) else brake
+    return setup, lambda m_s: stopping.threshold_for(params, given or reports.brake or brake, m_s)
 
 
 def _alarm(setup: Setup) -> Alarm:

@@ -125,7 +125,7 @@ class Mavlink:
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
         self._begin_s, self._beat_s, self._values_s = time.monotonic(), -math.inf, -math.inf
-        self._asked_s = self._asked_others_s = -math.inf
+        self._asked_s = -math.inf
         self._level, self._reason, self._n_nonsense, self._n_long = 0, "", 0, 0
         self._state = names.MAV_STATE_BOOT
         self._texts = {
@@ -171,13 +171,12 @@ class Mavlink:
         is_early = now_s - self._begin_s < HEARD_S and not self._pilot.is_heard
         if state != self._reported and not is_early:
             self._reported = state
-            stop_s = self._stop.stop_s() if "brake" in state else math.nan
-            at_speed = {} if math.isnan(stop_s) else {"stop_s": round(stop_s, 2)}
-            self._report(AUTOPILOT, **state, **at_speed)
+            self._report(AUTOPILOT, **state, **self._at_speed())
         self._brake.step(self._objection())
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             self._send_heartbeat(self._state)
+            self._ask_who_is_there()
 
     def close(self) -> None:
         """Send that the watch has ended, and close the link."""
@@ -225,7 +224,6 @@ class Mavlink:
         The rates hold until the autopilot restarts, and for this link alone.
         """
         names = self._names
-        self._ask_others(now_s)
         if not self._pilot.is_heard:
             self._asked_s = -math.inf
             return
@@ -241,6 +239,14 @@ class Mavlink:
         ):
             self._order(names.MAV_CMD_SET_MESSAGE_INTERVAL, (number, _MOTION_US, 0))
 
+    def _ask_who_is_there(self) -> None:
+        """If several addresses speak as the autopilot, ask each for its clock, see `Peers`."""
+        names, speakers = self._names, self._peers.speakers()
+        if len(speakers) > 1:
+            command, clock = names.MAV_CMD_REQUEST_MESSAGE, names.MAVLINK_MSG_ID_SYSTEM_TIME
+            with self._only_to(speakers):
+                self._mav.command_long_send(*self._target, command, 0, clock, 0, 0, 0, 0, 0, 0)
+
     def _step_stop(self) -> dict[str, Json]:
         """Find out how the autopilot stops; returns the entries for the event."""
         self._stop.step()
@@ -253,27 +259,20 @@ class Mavlink:
                 self._warn_once(f"in {mode.name}, {what}; put it into the middle")
         return self._stop.facts() if self._pilot.is_heard else {}
 
+    def _at_speed(self) -> dict[str, Json]:
+        """How long before contact an alarm must begin at the present speed, if both are known."""
+        brake, speed_m_s = self._stop.brake, self._pilot.speed_m_s
+        if brake is None or math.isnan(speed_m_s):
+            return {}
+        return {"stop_s": round(brake.stop_s(speed_m_s), 2)}
+
     def _ask_parameter(self, name: str) -> None:
         with self._only_to(self._peers.speakers()[:1]):
             self._mav.param_request_read_send(*self._target, name.encode(), -1)
 
-    def _ask_others(self, now_s: float) -> None:
-        """Ask who else speaks as the autopilot when it was started, see `Peers`."""
-        names, others = self._names, self._peers.speakers()[1:]
-        unknown = [peer for peer in others if math.isnan(peer.apart_s)]
-        if unknown and now_s - self._asked_others_s >= HEARTBEAT_S:
-            self._asked_others_s, numbers = now_s, (names.MAVLINK_MSG_ID_SYSTEM_TIME, 0, 0)
-            self._order(names.MAV_CMD_REQUEST_MESSAGE, numbers, to=unknown)
-
-    def _order(
-        self,
-        command: int,
-        numbers: tuple[int, int, int],
-        n_before: int = 0,
-        to: Sequence[Peer] = (),
-    ) -> None:
-        """Send a command with its first three parameters to the autopilot alone, or `to` others."""
-        with self._only_to(to or self._peers.speakers()[:1]):
+    def _order(self, command: int, numbers: tuple[int, int, int], n_before: int = 0) -> None:
+        """Send a command with its first three parameters to the autopilot alone."""
+        with self._only_to(self._peers.speakers()[:1]):
             self._mav.command_long_send(*self._target, command, n_before, *numbers, 0, 0, 0, 0)
 
     @contextmanager

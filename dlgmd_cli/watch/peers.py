@@ -27,8 +27,6 @@ class Peer:
         Arrival time of its last message, and of its last one as the autopilot.
     started_s : float
         When the autopilot was started, by the last message with its clock; NaN if unknown.
-    apart_s : float
-        Time from the start of the autopilot that is answered to that of this one; NaN if unknown.
     """
 
     place: Address
@@ -36,7 +34,6 @@ class Peer:
     heard_s: float = -math.inf
     pilot_s: float = -math.inf
     started_s: float = math.nan
-    apart_s: float = math.nan
 
     @property
     def name(self) -> str:
@@ -79,14 +76,10 @@ class Peers:
         now_s, has_owner = time.monotonic(), bool(self.speakers())
         if is_beat and not has_owner:
             self._owner = peer
-            for one in self._peers.values():
-                one.apart_s = math.nan
         if is_beat or peer.pilot_s > -math.inf:
             peer.pilot_s = now_s
         if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
             peer.started_s = now_s - 1e-3 * boot_ms
-            if self._owner is not None:
-                peer.apart_s = abs(peer.started_s - self._owner.started_s)
         return not has_owner or peer is self._owner
 
     def speakers(self) -> list[Peer]:
@@ -99,7 +92,8 @@ class Peers:
 
     def kinship(self) -> str:
         """What the speakers are, by the time at which each says it was started."""
-        apart_s = [peer.apart_s for peer in self.speakers()[1:]]
+        started_s = [peer.started_s for peer in self.speakers()]
+        apart_s = [abs(one - started_s[0]) for one in started_s[1:]]
         if any(one > _SAME_START_S for one in apart_s):
             return AUTOPILOTS
         return UNKNOWN if any(map(math.isnan, apart_s)) else LINKS

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from dlgmd_cli import Rule
-from dlgmd_cli.models.stopping import ARDUCOPTER, MARGIN_S, PX4, STANDING_M_S, Brake
+from dlgmd_cli.models.stopping import ARDUCOPTER, MARGIN_S, STANDING_M_S, Brake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import JERKS, Autopilot
 
@@ -32,76 +32,70 @@ class Stop:
         The rule that raises the alarms; None if its threshold follows the speed.
     react_s : float
         Time from the alarm to the first command.
+
+    Attributes
+    ----------
+    brake : Brake or None
+        The stop; None if it is unknown, or not known yet.
     """
 
     def __init__(
         self, pilot: Autopilot, ask: Callable[[str], None], rule: Rule | None, react_s: float
     ) -> None:
         self._pilot, self._ask, self._rule, self._react_s = pilot, ask, rule, react_s
+        self.brake: Brake | None = None
         self._n_asked, self._asked_s, self._has_warned = 0, -math.inf, False
 
     def step(self) -> None:
-        """Ask if due: whenever ArduCopter is heard anew, until it answers."""
-        if not self._pilot.is_heard:
-            self._n_asked = 0
-        elif self._pilot.who_brakes == ARDUCOPTER and self._may_ask():
-            self._n_asked, self._asked_s = self._n_asked + 1, time.monotonic()
+        """Find out the stop; ArduCopter is asked whenever it is heard anew, until it answers."""
+        pilot, now_s = self._pilot, time.monotonic()
+        if not pilot.is_heard:
+            self._n_asked, self._asked_s = 0, -math.inf
+            return
+        is_copter, jerk = pilot.who_brakes == ARDUCOPTER, pilot.jerk
+        is_due = now_s - self._asked_s >= ASK_S and (jerk is None or self._n_asked == 0)
+        if is_copter and is_due and self._n_asked < MAX_ASKED:
+            self._n_asked, self._asked_s = self._n_asked + 1, now_s
             for name in JERKS:
                 self._ask(name)
-
-    def _may_ask(self) -> bool:
-        if self._n_asked == 0:
-            return True
-        is_due = time.monotonic() - self._asked_s >= ASK_S
-        return self._pilot.jerk is None and is_due and self._n_asked < MAX_ASKED
-
-    @property
-    def brake(self) -> Brake | None:
-        """The stop; None if it is unknown, or not known yet."""
-        pilot = self._pilot
-        if pilot.who_brakes == ARDUCOPTER and pilot.jerk is not None:
-            return Brake(ARDUCOPTER, pilot.jerk[1], react_s=self._react_s)
-        is_silent = self._n_asked == MAX_ASKED and time.monotonic() - self._asked_s >= ASK_S
-        if pilot.who_brakes == PX4 or (pilot.who_brakes == ARDUCOPTER and is_silent):
-            return replace(Brake.parse(pilot.who_brakes), react_s=self._react_s)
-        return None
+        elif is_copter and jerk is not None:
+            self.brake = Brake(ARDUCOPTER, jerk[1], react_s=self._react_s)
+        elif pilot.who_brakes and (is_due or not is_copter):
+            self.brake = replace(Brake.parse(pilot.who_brakes), react_s=self._react_s)
 
     def facts(self) -> dict[str, Json]:
-        """The entries of an event: the brake as an argument, and the parameter that told it."""
+        """The entries of an event: the brake as an argument, and what told it."""
         if self.brake is None:
             return {}
-        jerk = self._pilot.jerk
-        by = jerk[0] if jerk is not None else "default, no answer"
-        known: dict[str, Json] = {"brake_by": by if self.brake.who == ARDUCOPTER else "default"}
-        return {"brake": self.brake.text, **known}
-
-    def stop_s(self) -> float:
-        """How long before contact an alarm must begin at the present speed, in s; or NaN."""
-        return math.nan if self.brake is None else self.brake.stop_s(self._pilot.speed_m_s)
+        by, jerk = "default", self._pilot.jerk
+        if self.brake.who == ARDUCOPTER:
+            by = "default, no answer" if jerk is None else jerk[0]
+        return {"brake": self.brake.text, "brake_by": by}
 
     def warning(self) -> str:
         """A line, once, if the drone flies too fast for an alarm at the threshold; else empty."""
-        pilot, brake, speed_m_s = self._pilot, self.brake, self._pilot.speed_m_s
+        pilot, brake, rule, speed_m_s = self._pilot, self.brake, self._rule, self._pilot.speed_m_s
         is_flying = pilot.is_heard and pilot.is_armed and speed_m_s >= STANDING_M_S
-        if self._has_warned or self._rule is None or brake is None or not is_flying:
+        if self._has_warned or rule is None or brake is None or not is_flying:
             return ""
-        if not (needed := self._needed(brake, speed_m_s)):
+
+        def needed(jerk_m_s3: float) -> float:
+            time_s = replace(brake, number=jerk_m_s3).stop_s(speed_m_s)
+            return rule.threshold_at(time_s + MARGIN_S)
+
+        def suffices(jerk_m_s3: float) -> bool:
+            is_later = needed(jerk_m_s3) < rule.threshold
+            return needed(jerk_m_s3) == rule.threshold or is_later == rule.at_most
+
+        if suffices(brake.number):
             return ""
-        self._has_warned, rule = True, self._rule
-        enough = (j for j in _JERKS_M_S3 if not self._needed(replace(brake, number=j), speed_m_s))
-        cure = ""
+        self._has_warned, cure = True, ""
         if brake.who == ARDUCOPTER and brake.number < _JERKS_M_S3[-1]:
-            jerk_m_s3, name = next(enough, _JERKS_M_S3[-1]), (pilot.jerk or JERKS)[0]
+            jerk_m_s3 = next(filter(suffices, _JERKS_M_S3), _JERKS_M_S3[-1])
+            name = (pilot.jerk or JERKS)[0]
             cure = f"set {name} to {jerk_m_s3:g}, which makes every change of speed harder, or "
         return (
             f"at {speed_m_s:.1f} m/s, {rule.key} {rule.threshold:g} is too late for a stop "
             f"({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); {cure}"
-            f"set {rule.key} to {needed:.2g}, which has more false alarms"
+            f"set {rule.key} to {needed(brake.number):.2g}, which has more false alarms"
         )
-
-    def _needed(self, brake: Brake, speed_m_s: float) -> float:
-        """The threshold for a stop from this speed; 0 if that in use suffices."""
-        assert self._rule is not None
-        needed, used = self._rule.threshold_at(brake.stop_s(speed_m_s) + MARGIN_S), self._rule
-        is_too_late = needed > used.threshold if used.at_most else needed < used.threshold
-        return needed if is_too_late else 0.0

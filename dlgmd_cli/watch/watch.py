@@ -326,7 +326,6 @@ class Watch:
             return None
         direction = self._heading.direction()
         self._alarm.heading(*(direction or ()))
-        self._state.n_headed += direction is not None
         return direction
 
     def _reported(
@@ -409,14 +408,13 @@ class SourceState:
         Time since when `reason` holds, by `time.monotonic`; NaN at first.
     is_silent : bool
         Whether the source counts as lost because no frame has come for too long.
-    n_headed, n_without : int
-        Numbers of frames measured around a reported direction of flight, and of frames without a
-        part that a busy computer left out.
+    n_without : int
+        Number of frames without a part that a busy computer left out.
     """
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self.reason, self.is_silent = source, "", False
-        self.n_headed = self.n_without = 0
+        self.n_without = 0
         self._blind, self._back_s = "", math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 

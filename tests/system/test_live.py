@@ -780,7 +780,7 @@ def test_what_receivers_report_is_an_event():
     assert lost["output"] == "jsonl" and sent["frame"] > 5 and since == sorted(since)
 
 
-def test_the_windows_follow_a_heading_which_is_counted():
+def test_the_windows_follow_a_heading():
     frames, expansions = looming_frames(n_frames=20, width=64, height=48), []
     for motion in (None, (2.0, 0.5, 0.0)):
         reports = Reports()
@@ -789,8 +789,6 @@ def test_the_windows_follow_a_heading_which_is_counted():
         found, sight = answered(source, alarm, reports=reports, heading=Heading(reports))
         (told,) = [one.to_dict() for one in found if one.event == "heading"]
         assert told["by"] == ("default" if motion is None else "autopilot")
-        n_frames = sum(one.is_of_frame for one in found)
-        assert sight.n_headed == (0 if motion is None else n_frames)
         assert not sight.warnings()  # it is no fault
         expansions.append([one.detection.expansion for one in found if one.is_of_frame][-1])
     assert told["right_deg"] == 14.0 and expansions[0] != expansions[1]
