@@ -156,8 +156,11 @@ def _arducopter_s(v: float, j: float) -> float:
     return _ATTITUDE_S + t + share * (decel * tau - j * t**2 / 6.0)
 
 
-# Whose stops stand side by side in tables.
-BRAKES = (Brake(number=ARDUCOPTER_JERK_M_S3), Brake(number=20.0), Brake(TILT, 25.0))
+# Whose stops stand side by side in tables, by the end of the columns' names.
+BRAKES = {
+    brake.text.replace(":", "_"): brake
+    for brake in map(Brake.parse, (ARDUCOPTER, f"{ARDUCOPTER}:20", TILT))
+}
 
 
 def brake_of(

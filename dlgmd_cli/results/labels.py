@@ -6,8 +6,8 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
@@ -17,6 +17,7 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, printable, warn
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import ANGLES
@@ -31,7 +32,7 @@ LABELS, TRUTH = "labels.csv", "truth"
 # The required columns; the columns of words and of numbers, which may be missing or empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
-_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, *WORDS)
+_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, "brake", *WORDS)
 # The columns of a truth that are read. The true rate (1/s), closing speed over distance, at or
 # above which an alarm is justified.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
@@ -68,6 +69,8 @@ class Label:
         The speed at the collision, in m/s; None if unknown.
     approach_start : int or None
         The frame at which the approach begins; None if unknown.
+    brake : str
+        Who brakes, as `Brake.parse` reads it; empty if unknown.
     """
 
     video: str
@@ -80,6 +83,7 @@ class Label:
     camera_tilt: float | None = None
     speed_m_s: float | None = None
     approach_start: int | None = None
+    brake: str = ""
 
 
 # The columns that group videos. Two further groups: all collisions, and all but those with a wall.
@@ -92,10 +96,13 @@ ByVideo = dict[str, list[Label]]
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
-    """Write labels as CSV, without columns of numbers that no label has; OSError passes through."""
+    """Write labels as CSV, without optional columns that no label has; OSError passes through."""
     every = [*labels]
-    plain = (*_NEEDED, *WORDS)
-    columns = [c for c in _COLUMNS if c in plain or any(getattr(x, c) is not None for x in every)]
+    columns = [
+        name
+        for name in _COLUMNS
+        if name in (*_NEEDED, *WORDS) or {getattr(label, name) for label in every} - {None, ""}
+    ]
     write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
@@ -219,7 +226,11 @@ def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> 
     more = tuple((name, row.get(name, "").strip()) for name in further)
     target, kind, manner = (cells[name] for name in WORDS)
     fov, tilt, speed = _numbers(path, number, cells)
-    return Label(cells["video"], collision, target, kind, manner, more, fov, tilt, speed, start)
+    if cells["brake"]:
+        with _in_line(path, number, "brake"):
+            Brake.parse(cells["brake"])
+    numbers = fov, tilt, speed, start
+    return Label(cells["video"], collision, target, kind, manner, more, *numbers, cells["brake"])
 
 
 def _frame(path: Path, number: int, cell: str) -> int | None:
@@ -239,12 +250,19 @@ def _numbers(path: Path, number: int, cells: Mapping[str, str]) -> list[float | 
     """The numbers in a line of a table, in the order of `_NUMBERS`; raises ResultError."""
     numbers: list[float | None] = []
     for name, spec in _NUMBERS.items():
-        try:
+        with _in_line(path, number, name):
             numbers.append(spec.parse(cells[name]) if cells[name] else None)
-        except ParameterError as error:
-            why = f"line {number}: {name}: {error.why}"
-            raise ResultError(str(path), why, error.hint) from None
     return numbers
+
+
+@contextmanager
+def _in_line(path: Path, number: int, name: str) -> Iterator[None]:
+    """Raise a ParameterError inside the context as a ResultError that names line and column."""
+    try:
+        yield
+    except ParameterError as error:
+        why = f"line {number}: {name}: {error.why}"
+        raise ResultError(str(path), why, error.hint) from None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ at least two frames within 1 s of the onset.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
+from dlgmd_cli.models.stopping import BRAKES
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.results.intervals import holm, interval, p_value
 
@@ -44,7 +45,10 @@ MISSED, TOO_EARLY, TOO_LATE, ANNOUNCED, IN_TIME = range(5)
 FALSE, JUSTIFIED, FURTHER = "false", "justified", "further"
 # The measures of `score` that have an interval; the counts of `score`.
 MEASURES = ("recall", *(f"{name}_share" for name in OUTCOMES), "false_alarms_per_min", "in_alarm")
-COUNTS = ("videos", "contacts", "hits", *OUTCOMES, "false_alarms", "justified", "minutes")
+COUNTS = (
+    *("videos", "contacts", "hits", *OUTCOMES, *(f"in_time_{name}" for name in BRAKES)),
+    *("false_alarms", "justified", "minutes"),
+)
 
 # Measure or count -> value, for a model on some videos at one threshold, see `score`.
 Scores = dict[str, float]
@@ -53,20 +57,28 @@ _AT_ONCE = 1 << 21
 
 
 class Contact(NamedTuple):
-    """A contact: its time, and the first and last time of an onset in time or announcing it (s)."""
+    """A contact: its time, and the first and last time of an onset in time or announcing it (s).
+
+    `stops_s` has the times that the stops of `BRAKES` need, if the speed is known.
+    """
 
     time_s: float
     from_s: float
     until_s: float
     has_speed: bool = False
+    stops_s: tuple[float, ...] = ()
 
 
 def contact_of(
-    time_s: float, approach_s: float = -math.inf, stop_s: float | None = None
+    time_s: float,
+    approach_s: float = -math.inf,
+    stop_s: float | None = None,
+    stops_s: Iterable[float] = (),
 ) -> Contact:
     """The contact at `time_s`; `stop_s` is the time that a stop needs if the speed is known."""
     if stop_s is not None:
-        return Contact(time_s, time_s - stop_s - EARLIEST_S, time_s - stop_s, True)
+        last_s = time_s - stop_s
+        return Contact(time_s, last_s - EARLIEST_S, last_s, True, tuple(stops_s))
     return Contact(time_s, max(approach_s, time_s - APPROACH_S) - BEFORE_S, time_s)
 
 
@@ -206,6 +218,10 @@ class Tally:
         The number of the alarm that decides the outcome, see `alarms`; -1 if missed.
     lead_s : ndarray, shape (contacts, T)
         Time from the onset of this alarm to the contact, in seconds; NaN if missed.
+    in_time : bool ndarray, shape (contacts, brakes, T)
+        Whether the contact is in time for each of `BRAKES`; False without a speed.
+    stops_s : ndarray, shape (contacts, brakes)
+        The time that each of these stops needs, in seconds; NaN without a speed.
     n_false, n_justified : int ndarray, shape (T,)
         Number of false alarms, and of alarms that only the truth justifies.
     alarm_s : ndarray, shape (T,)
@@ -219,6 +235,8 @@ class Tally:
     outcome: npt.NDArray[np.int8]
     onset: npt.NDArray[np.intp]
     lead_s: Series
+    in_time: Flags
+    stops_s: Series
     n_false: npt.NDArray[np.intp]
     n_justified: npt.NDArray[np.intp]
     alarm_s: Series
@@ -232,7 +250,7 @@ class Tally:
 
     def only(self, contacts: Flags) -> "Tally":
         """The tally of some of the contacts, but with all false alarms."""
-        names = ("outcome", "onset", "lead_s")
+        names = ("outcome", "onset", "lead_s", "in_time", "stops_s")
         return replace(self, **{name: getattr(self, name)[contacts] for name in names})
 
 
@@ -242,6 +260,8 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
     every = alarms(signal, n_sp, thresholds)
     outcome = np.full((len(signal.contacts), n), MISSED, np.int8)
     onset, lead_s = np.full(outcome.shape, -1), np.full(outcome.shape, np.nan)
+    in_time = np.zeros((len(outcome), len(BRAKES), n), np.bool_)
+    stops_s = np.full(in_time.shape[:2], np.nan)
     for number, contact in enumerate(signal.contacts):
         found = every.of(contact)
         chosen = np.flatnonzero(found != MISSED)
@@ -250,6 +270,10 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
         level = every.level[chosen]
         outcome[number, level], onset[number, level] = found[chosen], chosen
         lead_s[number, level] = contact.time_s - every.start_s[chosen]
+        for brake, stop_s in enumerate(contact.stops_s):
+            is_hit = every.of(contact_of(contact.time_s, stop_s=stop_s)) == IN_TIME
+            in_time[number, brake, every.level[is_hit]] = True
+            stops_s[number, brake] = stop_s
 
     def summed(weights: npt.NDArray) -> npt.NDArray:
         return np.bincount(every.level, weights, minlength=n)
@@ -260,6 +284,8 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
         outcome,
         onset,
         lead_s,
+        in_time,
+        stops_s,
         n_false=summed(every.n_false).astype(np.intp),
         n_justified=summed(every.justified).astype(np.intp),
         alarm_s=summed(lasts_s),
@@ -275,6 +301,7 @@ def score(tallies: Sequence[Tally]) -> Scores:
     -------
     dict of str to float
         `videos`; `contacts`, the `hits` (in time or announced) and each of `OUTCOMES` among them;
+        `in_time_arducopter` and so on, the contacts in time for each of `BRAKES`;
         `false_alarms` and `justified`; `minutes` in which an onset may be false.
 
         `recall`: hits / contacts. `in_time_share` and so on: each outcome / contacts.
@@ -285,6 +312,10 @@ def score(tallies: Sequence[Tally]) -> Scores:
     contacts = [len(t.outcome) for t in tallies]
     minutes = [t.minutes for t in tallies]
     of = {k: [int((t.outcome == i).sum()) for t in tallies] for i, k in enumerate(OUTCOMES)}
+    of |= {
+        f"in_time_{name}": [int(t.in_time[:, i].sum()) for t in tallies]
+        for i, name in enumerate(BRAKES)
+    }
     of["hits"] = [int(t.is_hit.sum()) for t in tallies]
     of["false_alarms"] = [int(t.n_false[0]) for t in tallies]
     of["justified"] = [int(t.n_justified[0]) for t in tallies]

@@ -12,6 +12,7 @@ from conftest import csv_rows, judged_anew, looming_frames, write_video, yaml_of
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.models.stopping import BRAKES
 from dlgmd_cli.results.labels import (
     Case,
     Label,
@@ -148,6 +149,38 @@ def test_a_speed_says_what_is_in_time(runs, footage):
     assert outcome(*brake, "--react", lead_s / 4)[0] == "in_time"
     assert outcome("--speed-m-s", 0.3, "--brake", 100, "--react", 0)[0] == "in_time"
     assert yaml_of("ev/evaluate.yaml")["speed_m_s"] == 0.3
+
+
+def test_who_brakes_says_what_is_in_time(runs, footage):
+    """By --brake, else by the column; three brakes stand side by side, whoever brakes."""
+    labels = footage / "braked.csv"
+    labels.write_text("video,collision_frame,speed_m_s,brake\nnear.avi,20,4,0.01s\n")
+    common = ("evaluate", labels, "--set", 3, "--param", "kappa=1e-4", "--jobs", 1, "--out", "ev")
+    common += ("--no-baselines", "--format=none", "--overwrite", "--repeats", "keep")
+
+    def rows(*options):
+        printed = runs(*common, *options).stdout
+        assert "arducopter:20" in printed and "In time by who brakes" in printed
+        return csv_rows("ev/evaluate.csv")
+
+    (row, _) = rows("--react", 0)
+    assert row["in_time"] == "1"
+    assert [row[f"in_time_{name}"] for name in BRAKES] == ["0", "0", "0"]
+    assert row["threshold_arducopter"] == ""  # spikes mean no time before a contact
+    (row, _) = rows("--react", 0, "--brake", "arducopter")
+    assert row["in_time"] == "0"
+
+
+def test_each_brake_needs_the_threshold_of_the_fastest_contact(footage):
+    labels = footage / "fast.csv"
+    labels.write_text("video,collision_frame,speed_m_s\nnear.avi,20,3\nnear.avi,21,1\n")
+    report = dlgmd_cli.evaluate(labels, baselines=False)
+    row = report.main("flight")
+    for name, brake in BRAKES.items():
+        needed = dlgmd_cli.run(footage / "near.avi", speed_m_s=3, brake=brake.text).params
+        assert row[f"threshold_{name}"] == pytest.approx(needed.expansion_alarm)
+    assert row["threshold_arducopter"] < row["threshold_arducopter_20"] < row["threshold_tilt"]
+    assert report.to_json()["flight"]["threshold_tilt"] == row["threshold_tilt"]
 
 
 def test_truth_beside_the_labels_justifies_alarms(runs, footage, tmp_path):
@@ -334,12 +367,14 @@ def test_a_kind_that_all_have_is_no_group_and_neither_is_an_unknown_manner():
 
 def test_labels_have_speeds_angles_and_starts(tmp_path):
     path = tmp_path / "labels.csv"
-    path.write_text("video,collision_frame,speed_m_s,approach_start,fov\na.mp4,30,2.5,10,\n")
+    path.write_text(
+        "video,collision_frame,speed_m_s,approach_start,fov,brake\na.mp4,30,2.5,10,,1.7s\n"
+    )
     (case,) = read_cases(path)
-    assert case.labels == (Label("a.mp4", 30, speed_m_s=2.5, approach_start=10),)
+    assert case.labels == (Label("a.mp4", 30, speed_m_s=2.5, approach_start=10, brake="1.7s"),)
     write_labels(path, case.labels)
     assert path.read_text().splitlines()[0] == (
-        "video,collision_frame,approach_start,speed_m_s,target,kind,manner"
+        "video,collision_frame,approach_start,speed_m_s,brake,target,kind,manner"
     )
     assert read_cases(path) == [case]
     for cells, why in (
@@ -347,8 +382,9 @@ def test_labels_have_speeds_angles_and_starts(tmp_path):
         ("30,fast,", "speed_m_s: .* is not a number"),
         ("30,,31", "the approach starts after the collision"),
         ("30,,x", "line 2 is not a label"),
+        ("30,2,,ardupilot", "line 2: brake: 'ardupilot' is not a number. Write arducopter, "),
     ):
-        path.write_text(f"video,collision_frame,speed_m_s,approach_start\na.mp4,{cells}\n")
+        path.write_text(f"video,collision_frame,speed_m_s,approach_start,brake\na.mp4,{cells}\n")
         with pytest.raises(ResultError, match=why):
             read_cases(path)
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.models.detection import Detection, spans
 from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.stopping import BRAKES
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import scoring, tradeoff
 from dlgmd_cli.results.intervals import holm, interval, p_value
@@ -120,6 +121,27 @@ def test_contacts_are_judged_apart():
     found = judged(video([(4.5, 4.6), (5.6, 5.6), (11.9, 11.9)], contacts))
     assert found == (["announced", "in_time", "missed"], 1)
     assert scoring.tally(video([(4.5, 4.6)], contacts), 1, 0.5).lead_s[:2, 0].tolist() == [0.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    ("onset_s", "in_time"),
+    [
+        (7.0, [True, False, False]),  # too early for the two that brake hard
+        (8.1, [True, True, True]),
+        (8.4, [False, True, True]),
+        (9.4, [False, False, True]),
+        (9.6, [False, False, False]),
+    ],
+)
+def test_a_contact_is_in_time_for_one_brake_and_too_late_for_another(onset_s, in_time):
+    contact = contact_of(10.0, stop_s=0.7, stops_s=(1.8, 0.7, 0.5))
+    counts = scoring.tally(video([(onset_s, 9.9)], [contact, PLAIN]), 1, (0.5, 2.0))
+    assert counts.in_time[0, :, 0].tolist() == in_time
+    assert not counts.in_time[1].any() and not counts.in_time[:, :, 1].any()
+    assert np.array_equal(counts.stops_s, [[1.8, 0.7, 0.5], [NAN] * 3], equal_nan=True)
+    found = scoring.score([counts])
+    assert [found[f"in_time_{name}"] for name in BRAKES] == in_time
+    assert found["in_time"] == in_time[1]
 
 
 def test_minutes_and_the_time_in_alarm():

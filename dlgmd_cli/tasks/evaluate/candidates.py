@@ -16,7 +16,7 @@ from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.models.normalise import params_at_scale
 from dlgmd_cli.models.rules import Rule, rule_of
-from dlgmd_cli.models.stopping import Brake
+from dlgmd_cli.models.stopping import BRAKES, Brake
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
@@ -24,7 +24,7 @@ from dlgmd_cli.results.labels import TRUTH, Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import model_entry
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.scoring import Signal, contact_of
+from dlgmd_cli.results.scoring import Contact, Signal, contact_of
 from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
@@ -106,22 +106,31 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Stopping:
-    """The speed of drones at a contact, and their braking.
+    """The speed of drones at a contact, and who brakes.
 
     Attributes
     ----------
     brake : Brake
+        Who brakes, with the reaction, which is that of all brakes.
     speed_m_s : float or None
         The speed at every contact; None for the speed in each label.
+    for_all : bool
+        Whether `brake` is in place of the brakes in the labels.
     """
 
     brake: Brake = field(default_factory=Brake)
     speed_m_s: float | None = None
+    for_all: bool = False
 
-    def stop_s(self, label: Label) -> float | None:
-        """Time before contact at which a stop must begin, in seconds; None if no speed is known."""
+    def contact(self, label: Label, time_s: float, approach_s: float) -> Contact:
+        """The contact of a label at a time, with the stops that it needs if its speed is known."""
         speed_m_s = label.speed_m_s if self.speed_m_s is None else self.speed_m_s
-        return None if speed_m_s is None else self.brake.stop_s(speed_m_s)
+        if speed_m_s is None:
+            return contact_of(time_s, approach_s)
+        theirs = self.brake if self.for_all or not label.brake else Brake.parse(label.brake)
+        brakes = (replace(one, react_s=self.brake.react_s) for one in (theirs, *BRAKES.values()))
+        stop_s, *stops_s = (brake.stop_s(speed_m_s) for brake in brakes)
+        return contact_of(time_s, stop_s=stop_s, stops_s=stops_s)
 
 
 def signal_of(
@@ -153,7 +162,7 @@ def signal_of(
             )
         start = label.approach_start
         approach_s = -math.inf if start is None else time_of(start)
-        contacts.append(contact_of(time_of(collision), approach_s, stopping.stop_s(label)))
+        contacts.append(stopping.contact(label, time_of(collision), approach_s))
     near_s = np.array([time_of(number) for number in case.near if first <= number <= last])
     ttc_s = None
     if strength is None:

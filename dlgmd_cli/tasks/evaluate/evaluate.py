@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
-from dlgmd_cli.models.stopping import brake_of, speed_of
+from dlgmd_cli.models.stopping import BRAKES, brake_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
@@ -81,7 +81,8 @@ def evaluate(
     ----------
     labels : str or path
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
-        ``speed_m_s``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are optional.
+        ``speed_m_s``, ``brake``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are
+        optional.
         True distances in the folder ``truth`` beside the CSV can justify an alarm.
     model, formulation, param
         The models, as in `run`. Their labels include the parameters in `param`.
@@ -130,7 +131,11 @@ def evaluate(
     """
     max_false_per_min = false_per_min(max_false_per_min)
     speed = speed_of(speed_m_s)
-    stopping = Stopping(brake_of(brake, react, tilt, jerk), None if speed is None else float(speed))
+    stopping = Stopping(
+        brake_of(brake, react, tilt, jerk),
+        None if speed is None else float(speed),
+        for_all=(brake, tilt, jerk) != (None, None, None),
+    )
     if results is not None:
         given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
         refuse({**given, **options}, "does not work with results, which are there already")
@@ -418,6 +423,8 @@ class Evaluation(Outcome):
             yield "* The best threshold, chosen on these videos: its scores are optimistic."
         if self._word != "announced" or any(row["justified"] for row in of_all):
             yield from self._shown_outcomes(of_all)
+        if self._word != "announced":
+            yield from self._shown_brakes(of_all)
         if against := self.differences():
             n, first = sum(map(len, against.values())), next(iter(self.candidates.by_label))
             yield f"Less {first}, paired by video (95 %; p by sign flips, {n} comparisons, Holm):"
@@ -443,6 +450,15 @@ class Evaluation(Outcome):
             for row in rows
         ]
         yield ("model", "threshold", *(name.replace("_", " ") for name in names)), cells
+
+    def _shown_brakes(self, rows: Sequence[Row]) -> Iterator[Shown]:
+        """The contacts in time by who brakes."""
+        yield "In time by who brakes, and the threshold that the fastest contact needs:"
+        cells = [
+            (row["model"], tables.threshold_cell(row), *(tables.brake_text(row, k) for k in BRAKES))
+            for row in rows
+        ]
+        yield ("model", "threshold", *(brake.text for brake in BRAKES.values())), cells
 
     def _shown_by(self, word: str) -> Iterator[Shown]:
         """Hits and false alarms of all models, grouped by target, kind or manner."""
@@ -491,4 +507,5 @@ class Evaluation(Outcome):
 def _json(row: Row) -> dict[str, Json]:
     """A row as JSON values."""
     at = {key: row[key] for key in ("at", "rule", "n_sp")}
-    return {**at, "threshold": finite(row["threshold"]), **scores_json(row)}
+    needed = {f"threshold_{name}": finite(row[f"threshold_{name}"]) for name in BRAKES}
+    return {**at, "threshold": finite(row["threshold"]), **scores_json(row), **needed}

@@ -10,6 +10,7 @@ import numpy as np
 from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.models.rules import rule_named
+from dlgmd_cli.models.stopping import BRAKES, MARGIN_S
 from dlgmd_cli.results import scoring
 from dlgmd_cli.results.csv import Cell
 from dlgmd_cli.results.labels import ALL, GROUPED, Case, VideoGroup
@@ -59,6 +60,7 @@ def score_rows(
     `tallies` has the alarms in each of the videos.
     """
     for (word, group), numbers in members.items():
+        chosen = [tallies[i].only(flags) for i, flags in numbers.items()]
         yield {
             "model": candidate.label,
             "at": at,
@@ -68,8 +70,23 @@ def score_rows(
             "threshold": candidate.level(strength),
             "excitation": candidate.excitation(strength),
             "n_sp": candidate.n_sp,
-            **scoring.score([tallies[i].only(flags) for i, flags in numbers.items()]),
+            **scoring.score(chosen),
+            **_needed(candidate, chosen),
         }
+
+
+def _needed(candidate: Candidate, tallies: Sequence[Tally]) -> dict[str, float]:
+    """`threshold_arducopter` and so on: the threshold for the longest stop of each of `BRAKES`.
+
+    NaN without a speed, and if the threshold of the rule means no time before a contact.
+    """
+    rule, stops_s = candidate.rule, np.concatenate([tally.stops_s for tally in tallies])
+    if rule is None or not rule.follows_speed or np.isnan(stops_s).all():
+        return dict.fromkeys((f"threshold_{name}" for name in BRAKES), math.nan)
+    return {
+        f"threshold_{name}": rule.threshold_at(float(longest_s) + MARGIN_S)
+        for name, longest_s in zip(BRAKES, np.nanmax(stops_s, axis=0), strict=True)
+    }
 
 
 def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
@@ -165,6 +182,13 @@ def false_text(row: Scores) -> str:
         return "–"
     bounds = "" if math.isnan(low) else f" ({low:.2g}–{high:.2g})"
     return f"{row['false_alarms']} in {row['minutes']:.3g}: {rate:.2g}{bounds}"
+
+
+def brake_text(row: Row, name: str) -> str:
+    """Cell of a table: the contacts in time for a stop by one of `BRAKES`, and its threshold."""
+    needed = row[f"threshold_{name}"]
+    with_unit = "" if math.isnan(needed) else rule_named(row["rule"]).with_unit(f"{needed:.3g}")
+    return f"{row[f'in_time_{name}']}" + (with_unit and f" (needs {with_unit})")
 
 
 def threshold_cell(row: Row) -> str:
