@@ -162,9 +162,8 @@ class Autopilot:
 
     def is_of_another(self, message: Any) -> bool:
         """Whether a message is a heartbeat from the autopilot of another system."""
-        is_beat = message.get_type() == "HEARTBEAT"
         is_pilot = message.get_srcComponent() == self._names.MAV_COMP_ID_AUTOPILOT1
-        return is_beat and is_pilot and message.get_srcSystem() != self._system
+        return self.is_beat(message) and is_pilot and message.get_srcSystem() != self._system
 
     def is_beat(self, message: Any) -> bool:
         """Whether a message is a vehicle's heartbeat."""

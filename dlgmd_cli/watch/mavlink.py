@@ -120,7 +120,7 @@ class Mavlink:
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
         self._stop = Stop(self._pilot, self._ask_parameter, rule, react_s)
-        self._peers = Peers(self._new_parser)
+        self._peers = Peers(names)
         self._towards: list[Address] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
@@ -197,11 +197,6 @@ class Mavlink:
         """Send a message: a command to the autopilot, any other message to all heard senders."""
         self._link.write(data, self._peers.heard() if self._towards is None else self._towards)
 
-    def _new_parser(self) -> Any:
-        parser = self._names.MAVLink(None)
-        parser.robust_parsing = True
-        return parser
-
     def _objection(self) -> str:
         """A reason not to command now that does not come from the autopilot; empty for none."""
         if self._reason:
@@ -228,8 +223,7 @@ class Mavlink:
             self._asked_s = -math.inf
             return
         is_known = self._reports.motion is not None and self._asked_s > -math.inf
-        is_due = now_s - self._asked_s >= _ASK_S
-        if is_known or not is_due:
+        if is_known or now_s - self._asked_s < _ASK_S:
             return
         self._asked_s = now_s
         for number in (

@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 from dlgmd_cli.parameters.facts import Json
@@ -49,12 +49,12 @@ class Peers:
 
     Parameters
     ----------
-    parser : callable
-        Makes a parser of bytes.
+    names : module
+        The messages of MAVLink.
     """
 
-    def __init__(self, parser: Callable[[], Any]) -> None:
-        self._parser, self._peers = parser, dict[Address, Peer]()
+    def __init__(self, names: ModuleType) -> None:
+        self._names, self._peers = names, dict[Address, Peer]()
         self._owner: Peer | None = None
 
     def of(self, place: Address) -> Peer:
@@ -63,7 +63,8 @@ class Peers:
             if len(self._peers) >= _MAX_PLACES:
                 others = [one for one in self._peers.values() if one is not self._owner]
                 del self._peers[min(others, key=lambda one: one.heard_s).place]
-            self._peers[place] = Peer(place, self._parser())
+            self._peers[place] = Peer(place, self._names.MAVLink(None))
+            self._peers[place].parser.robust_parsing = True
         return self._peers[place]
 
     def heard(self) -> list[Address]:
