@@ -13,6 +13,8 @@ from dlgmd_cli.watch.links import Address
 _PLACE_S, _MAX_PLACES = 5.0, 32
 # Two links of one autopilot report the same time of its start, within the delay of a link (s).
 _SAME_START_S = 1.0
+# By which share of the time the clock of a slow simulator may fall behind.
+_SLOWEST = 0.25
 # What several addresses that speak as the autopilot are.
 LINKS, AUTOPILOTS, UNKNOWN = "links of one autopilot", "several autopilots", "unknown"
 
@@ -77,10 +79,13 @@ class Peers:
         now_s, has_owner = time.monotonic(), bool(self.speakers())
         if is_beat and not has_owner:
             self._owner = peer
+        if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
+            started_s = now_s - 1e-3 * boot_ms
+            # A message that waited seems to be of a later start; only a slow simulator's really is.
+            latest_s = peer.started_s + _SLOWEST * (now_s - peer.pilot_s)
+            peer.started_s = latest_s if latest_s < started_s else started_s
         if is_beat or peer.pilot_s > -math.inf:
             peer.pilot_s = now_s
-        if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
-            peer.started_s = now_s - 1e-3 * boot_ms
         return not has_owner or peer is self._owner
 
     def speakers(self) -> list[Peer]:

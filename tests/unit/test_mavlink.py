@@ -937,6 +937,18 @@ def test_the_first_address_stays_the_autopilot(link, clock, apart_ms, are):
     assert orders == {*COPTERS}  # both are asked for their clocks
 
 
+def test_messages_that_waited_do_not_make_two_autopilots(link, clock):
+    """As on a busy computer, where those of one address are read before those of the other."""
+    send, reports, first = two(link, clock, 300)
+    for _ in range(3):
+        clock.now += 1.5
+        first.mav.attitude_send(90_200, 0, 0, 0, 0, 0, 0)
+        send.beat()
+        first.mav.attitude_send(int(1e3 * (clock.now - 10)), 0, 0, 0, 0, 0, 0)
+        send.beat()
+    assert "several autopilots" not in [facts.get("are") for _, facts in reports]
+
+
 def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
     """Until one of them has been silent for 5 s."""
     send, reports, first = two(link, clock, 5_000)
