@@ -25,6 +25,8 @@ _LEAN_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(30.0))
 _MOST_JERK_M_S3 = 0.5 * math.sqrt(ARDUCOPTER_DECEL_M_S2 * GRAVITY_M_S2 * math.radians(1100.0))
 # What its attitude lags behind the shaped deceleration (s): the one number that was fitted.
 _ATTITUDE_S = 0.08
+# The tilt of a controller of one's own, unless given.
+_TILT_DEG = 25.0
 # PX4: the default of MPC_ACC_HOR (m/s²), and the time that its stop point allows for the jerk (s).
 _PX4_M_S2, _PX4_S = 3.0, 0.6
 
@@ -89,12 +91,10 @@ class Brake:
         text = str(how).strip().lower()
         name, colon, jerk = text.partition(":")
         try:
-            if name == ARDUCOPTER and (jerk or not colon):
+            if name == ARDUCOPTER:
                 return cls(name, _JERK.parse(jerk) if colon else ARDUCOPTER_JERK_M_S3)
-            if text == PX4:
-                return cls(PX4, 0.0)
-            if text == TILT:
-                return cls(TILT, 25.0)
+            if text in (PX4, TILT):
+                return cls(text, _TILT_DEG)
             if text.endswith("s"):
                 return cls(SECONDS, _SECONDS.parse(text[:-1]))
             return cls(DECELERATION, _DECELERATION.parse(text))
@@ -178,7 +178,7 @@ def brake_of(
         if brake is not None and chosen.who != TILT:
             why = f"{argument('tilt')} and {argument('jerk')} exclude {argument('brake', brake)}"
             raise ParameterError("", why, f"Leave one out, or give {argument('brake', TILT)}.")
-        chosen = Brake.parse(TILT)
+        chosen = Brake(TILT, _TILT_DEG)
     with in_argument("tilt"):
         number = chosen.number if tilt is None else _TILT.check(tilt)
     with in_argument("jerk"):

@@ -6,11 +6,12 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
@@ -29,10 +30,12 @@ from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 _log = logging.getLogger(__name__)
 
 LABELS, TRUTH = "labels.csv", "truth"
-# The required columns; the columns of words and of numbers, which may be missing or empty.
+# The required columns; the columns of words, and those that are parsed, which may be empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
-_COLUMNS = (*_NEEDED, "approach_start", *_NUMBERS, "brake", *WORDS)
+_PARSED: dict[str, Callable[[str], Any]] = {k: spec.parse for k, spec in _NUMBERS.items()}
+_PARSED["brake"] = Brake.parse
+_COLUMNS = (*_NEEDED, "approach_start", *_PARSED, *WORDS)
 # The columns of a truth that are read. The true rate (1/s), closing speed over distance, at or
 # above which an alarm is justified.
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
@@ -98,11 +101,8 @@ ByVideo = dict[str, list[Label]]
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV, without optional columns that no label has; OSError passes through."""
     every = [*labels]
-    columns = [
-        name
-        for name in _COLUMNS
-        if name in (*_NEEDED, *WORDS) or {getattr(label, name) for label in every} - {None, ""}
-    ]
+    plain = (*_NEEDED, *WORDS)
+    columns = [c for c in _COLUMNS if c in plain or {getattr(x, c) for x in every} - {None, ""}]
     write_values(path, columns, ([getattr(label, name) for name in columns] for label in every))
 
 
@@ -225,10 +225,7 @@ def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> 
         raise ResultError(str(path), why, "Correct one of them.")
     more = tuple((name, row.get(name, "").strip()) for name in further)
     target, kind, manner = (cells[name] for name in WORDS)
-    fov, tilt, speed = _numbers(path, number, cells)
-    if cells["brake"]:
-        with _in_line(path, number, "brake"):
-            Brake.parse(cells["brake"])
+    fov, tilt, speed, _ = _parsed(path, number, cells)
     numbers = fov, tilt, speed, start
     return Label(cells["video"], collision, target, kind, manner, more, *numbers, cells["brake"])
 
@@ -246,23 +243,16 @@ def _frame(path: Path, number: int, cell: str) -> int | None:
     raise ResultError(str(path), why, hint)
 
 
-def _numbers(path: Path, number: int, cells: Mapping[str, str]) -> list[float | None]:
-    """The numbers in a line of a table, in the order of `_NUMBERS`; raises ResultError."""
-    numbers: list[float | None] = []
-    for name, spec in _NUMBERS.items():
-        with _in_line(path, number, name):
-            numbers.append(spec.parse(cells[name]) if cells[name] else None)
-    return numbers
-
-
-@contextmanager
-def _in_line(path: Path, number: int, name: str) -> Iterator[None]:
-    """Raise a ParameterError inside the context as a ResultError that names line and column."""
-    try:
-        yield
-    except ParameterError as error:
-        why = f"line {number}: {name}: {error.why}"
-        raise ResultError(str(path), why, error.hint) from None
+def _parsed(path: Path, number: int, cells: Mapping[str, str]) -> list[Any]:
+    """The values in a line of a table, in the order of `_PARSED`; raises ResultError."""
+    values: list[Any] = []
+    for name, parse in _PARSED.items():
+        try:
+            values.append(parse(cells[name]) if cells[name] else None)
+        except ParameterError as error:
+            why = f"line {number}: {name}: {error.why}"
+            raise ResultError(str(path), why, error.hint) from None
+    return values
 
 
 @dataclass(frozen=True)

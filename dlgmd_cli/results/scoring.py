@@ -16,7 +16,7 @@ at least two frames within 1 s of the onset.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -45,10 +45,9 @@ MISSED, TOO_EARLY, TOO_LATE, ANNOUNCED, IN_TIME = range(5)
 FALSE, JUSTIFIED, FURTHER = "false", "justified", "further"
 # The measures of `score` that have an interval; the counts of `score`.
 MEASURES = ("recall", *(f"{name}_share" for name in OUTCOMES), "false_alarms_per_min", "in_alarm")
-COUNTS = (
-    *("videos", "contacts", "hits", *OUTCOMES, *(f"in_time_{name}" for name in BRAKES)),
-    *("false_alarms", "justified", "minutes"),
-)
+IN_TIME_BY = [f"in_time_{name}" for name in BRAKES]
+COUNTS = ("videos", "contacts", "hits", *OUTCOMES, *IN_TIME_BY)
+COUNTS += ("false_alarms", "justified", "minutes")
 
 # Measure or count -> value, for a model on some videos at one threshold, see `score`.
 Scores = dict[str, float]
@@ -70,15 +69,11 @@ class Contact(NamedTuple):
 
 
 def contact_of(
-    time_s: float,
-    approach_s: float = -math.inf,
-    stop_s: float | None = None,
-    stops_s: Iterable[float] = (),
+    time_s: float, approach_s: float = -math.inf, stop_s: float | None = None
 ) -> Contact:
     """The contact at `time_s`; `stop_s` is the time that a stop needs if the speed is known."""
     if stop_s is not None:
-        last_s = time_s - stop_s
-        return Contact(time_s, last_s - EARLIEST_S, last_s, True, tuple(stops_s))
+        return Contact(time_s, time_s - stop_s - EARLIEST_S, time_s - stop_s, True)
     return Contact(time_s, max(approach_s, time_s - APPROACH_S) - BEFORE_S, time_s)
 
 
@@ -220,8 +215,6 @@ class Tally:
         Time from the onset of this alarm to the contact, in seconds; NaN if missed.
     in_time : bool ndarray, shape (contacts, brakes, T)
         Whether the contact is in time for each of `BRAKES`; False without a speed.
-    stops_s : ndarray, shape (contacts, brakes)
-        The time that each of these stops needs, in seconds; NaN without a speed.
     n_false, n_justified : int ndarray, shape (T,)
         Number of false alarms, and of alarms that only the truth justifies.
     alarm_s : ndarray, shape (T,)
@@ -236,7 +229,6 @@ class Tally:
     onset: npt.NDArray[np.intp]
     lead_s: Series
     in_time: Flags
-    stops_s: Series
     n_false: npt.NDArray[np.intp]
     n_justified: npt.NDArray[np.intp]
     alarm_s: Series
@@ -250,7 +242,7 @@ class Tally:
 
     def only(self, contacts: Flags) -> "Tally":
         """The tally of some of the contacts, but with all false alarms."""
-        names = ("outcome", "onset", "lead_s", "in_time", "stops_s")
+        names = ("outcome", "onset", "lead_s", "in_time")
         return replace(self, **{name: getattr(self, name)[contacts] for name in names})
 
 
@@ -261,7 +253,6 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
     outcome = np.full((len(signal.contacts), n), MISSED, np.int8)
     onset, lead_s = np.full(outcome.shape, -1), np.full(outcome.shape, np.nan)
     in_time = np.zeros((len(outcome), len(BRAKES), n), np.bool_)
-    stops_s = np.full(in_time.shape[:2], np.nan)
     for number, contact in enumerate(signal.contacts):
         found = every.of(contact)
         chosen = np.flatnonzero(found != MISSED)
@@ -273,7 +264,6 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
         for brake, stop_s in enumerate(contact.stops_s):
             is_hit = every.of(contact_of(contact.time_s, stop_s=stop_s)) == IN_TIME
             in_time[number, brake, every.level[is_hit]] = True
-            stops_s[number, brake] = stop_s
 
     def summed(weights: npt.NDArray) -> npt.NDArray:
         return np.bincount(every.level, weights, minlength=n)
@@ -285,7 +275,6 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
         onset,
         lead_s,
         in_time,
-        stops_s,
         n_false=summed(every.n_false).astype(np.intp),
         n_justified=summed(every.justified).astype(np.intp),
         alarm_s=summed(lasts_s),
@@ -312,10 +301,7 @@ def score(tallies: Sequence[Tally]) -> Scores:
     contacts = [len(t.outcome) for t in tallies]
     minutes = [t.minutes for t in tallies]
     of = {k: [int((t.outcome == i).sum()) for t in tallies] for i, k in enumerate(OUTCOMES)}
-    of |= {
-        f"in_time_{name}": [int(t.in_time[:, i].sum()) for t in tallies]
-        for i, name in enumerate(BRAKES)
-    }
+    of |= {k: [int(t.in_time[:, i].sum()) for t in tallies] for i, k in enumerate(IN_TIME_BY)}
     of["hits"] = [int(t.is_hit.sum()) for t in tallies]
     of["false_alarms"] = [int(t.n_false[0]) for t in tallies]
     of["justified"] = [int(t.n_justified[0]) for t in tallies]

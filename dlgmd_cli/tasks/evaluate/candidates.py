@@ -130,7 +130,7 @@ class Stopping:
         theirs = self.brake if self.for_all or not label.brake else Brake.parse(label.brake)
         brakes = (replace(one, react_s=self.brake.react_s) for one in (theirs, *BRAKES.values()))
         stop_s, *stops_s = (brake.stop_s(speed_m_s) for brake in brakes)
-        return contact_of(time_s, stop_s=stop_s, stops_s=stops_s)
+        return contact_of(time_s, stop_s=stop_s)._replace(stops_s=tuple(stops_s))
 
 
 def signal_of(

@@ -423,8 +423,6 @@ class Evaluation(Outcome):
             yield "* The best threshold, chosen on these videos: its scores are optimistic."
         if self._word != "announced" or any(row["justified"] for row in of_all):
             yield from self._shown_outcomes(of_all)
-        if self._word != "announced":
-            yield from self._shown_brakes(of_all)
         if against := self.differences():
             n, first = sum(map(len, against.values())), next(iter(self.candidates.by_label))
             yield f"Less {first}, paired by video (95 %; p by sign flips, {n} comparisons, Holm):"
@@ -442,7 +440,7 @@ class Evaluation(Outcome):
         return label if self.main(label)["at"] == DEFAULT else f"{label} *"
 
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
-        """The outcomes of the contacts, and the number of justified alarms."""
+        """The outcomes of the contacts, justified alarms, and contacts in time by who brakes."""
         names = [*reversed(OUTCOMES), "justified"]
         yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brake}:"
         cells = [
@@ -451,8 +449,8 @@ class Evaluation(Outcome):
         ]
         yield ("model", "threshold", *(name.replace("_", " ") for name in names)), cells
 
-    def _shown_brakes(self, rows: Sequence[Row]) -> Iterator[Shown]:
-        """The contacts in time by who brakes."""
+        if self._word == "announced":
+            return
         yield "In time by who brakes, and the threshold that the fastest contact needs:"
         cells = [
             (row["model"], tables.threshold_cell(row), *(tables.brake_text(row, k) for k in BRAKES))

@@ -60,7 +60,6 @@ def score_rows(
     `tallies` has the alarms in each of the videos.
     """
     for (word, group), numbers in members.items():
-        chosen = [tallies[i].only(flags) for i, flags in numbers.items()]
         yield {
             "model": candidate.label,
             "at": at,
@@ -70,23 +69,23 @@ def score_rows(
             "threshold": candidate.level(strength),
             "excitation": candidate.excitation(strength),
             "n_sp": candidate.n_sp,
-            **scoring.score(chosen),
-            **_needed(candidate, chosen),
+            **scoring.score([tallies[i].only(flags) for i, flags in numbers.items()]),
+            **_needed(candidate),
         }
 
 
-def _needed(candidate: Candidate, tallies: Sequence[Tally]) -> dict[str, float]:
-    """`threshold_arducopter` and so on: the threshold for the longest stop of each of `BRAKES`.
+def _needed(candidate: Candidate) -> dict[str, float]:
+    """`threshold_arducopter` and so on: the threshold for the longest stop by each of `BRAKES`.
 
     NaN without a speed, and if the threshold of the rule means no time before a contact.
     """
-    rule, stops_s = candidate.rule, np.concatenate([tally.stops_s for tally in tallies])
-    if rule is None or not rule.follows_speed or np.isnan(stops_s).all():
-        return dict.fromkeys((f"threshold_{name}" for name in BRAKES), math.nan)
-    return {
-        f"threshold_{name}": rule.threshold_at(float(longest_s) + MARGIN_S)
-        for name, longest_s in zip(BRAKES, np.nanmax(stops_s, axis=0), strict=True)
-    }
+    contacts = [contact for signal in candidate.signals.values() for contact in signal.contacts]
+    stops_s = [contact.stops_s for contact in contacts if contact.has_speed]
+    rule, names = candidate.rule, [f"threshold_{name}" for name in BRAKES]
+    if rule is None or not rule.follows_speed or not stops_s:
+        return dict.fromkeys(names, math.nan)
+    needed_s = np.max(stops_s, axis=0) + MARGIN_S
+    return {name: rule.threshold_at(s) for name, s in zip(names, needed_s.tolist(), strict=True)}
 
 
 def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
