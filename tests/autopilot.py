@@ -2,7 +2,7 @@
 
 KIND is copter or px4. LINK is a UDP port to listen at, udpout:PORT to send to, or pty, whose name
 is the first line of stdout. Lines of stdin change it: `arm`, `mode NAME`, `refuse`, `speed M/S`,
-`pitch DEG` (from then on it sends its attitude).
+`pitch DEG` (from then on it sends its attitude). ArduCopter's parameter PSC_JERK_XY is 20.
 Each message of interest that comes is a line of stdout: the log.
 """
 
@@ -114,6 +114,9 @@ class Autopilot:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             log(f"{kind} {message.severity} {message.text}")
+        elif kind == "PARAM_REQUEST_READ":
+            if message.param_id == "PSC_JERK_XY":
+                self.mav.param_value_send(b"PSC_JERK_XY", 20.0, 9, 1, 0)
         elif kind == "COMMAND_LONG":
             if message.command == names.MAV_CMD_REQUEST_MESSAGE:
                 self.beat_s = 0.0  # a heartbeat

@@ -78,8 +78,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--mavlink",
     metavar="URL",
     help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT, to "
-    "serial:///dev/ttyACM0:57600, or, with udpin://PORT, to any program that sends to this port; "
-    "needs dlgmd[live].",
+    "tcp:HOST:PORT, to serial:///dev/ttyACM0:57600, or, with udpin://[HOST:]PORT, to any program "
+    "that sends to this port; needs dlgmd[live].",
 )
 @autopilot_option(
     "--mavlink-brake",
@@ -97,13 +97,15 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @autopilot_option(
     "--mavlink-brake-mode",
     metavar="LIST",
-    help="With --mavlink-brake: modes that brake, in order, such as BRAKE,ALT_HOLD,LAND. Each mode "
-    "is tried if the mode before is refused, or not reported.  [default: the vehicle's own]",
+    help="With --mavlink-brake: modes that brake, in order, such as BRAKE,LOITER,LAND. Each mode "
+    "is tried if the mode before is refused, or not reported. ALT_HOLD may be named, too, but only "
+    "holds the height.  [default: the vehicle's own]",
 )
 @autopilot_option(
     "--mavlink-signing",
     metavar="KEYFILE",
-    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do.",
+    help="With --mavlink: sign messages by the passphrase in this file, as ground stations do, and "
+    "drop those that are not signed by it.",
 )
 @autopilot_option(
     "--mavlink-system",
@@ -124,7 +126,8 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     metavar="M/S|autopilot",
     help="With the rule expansion or ttc: alarm in time for a stop from this speed, instead of at "
     "expansion_alarm or ttc_alarm. 'autopilot' takes the speed that --mavlink receives; without a "
-    "speed, or at a standstill, expansion_alarm or ttc_alarm apply.",
+    "speed, or at a standstill, expansion_alarm or ttc_alarm apply. Unless --brake is given, the "
+    "stop is then the one that the autopilot tells with --mavlink-brake.",
 )
 @options.stopping_options
 @receiver_option(

@@ -121,7 +121,7 @@ class LiveSource:
     is_lost : bool
         Whether the source has ended and is to be opened again.
     heard_s : float
-        Time of the last frame by `time.monotonic`; before the first, of the source's creation.
+        Time of the last frame by `time.monotonic`; before the first, of the beginning.
     first_s : float
         Time of the first frame, whose `time_s` is 0; NaN before the first frame.
     n_frames, n_dropped, n_left_out : int
@@ -176,6 +176,7 @@ class LiveSource:
         self._stop = threading.Event()
 
     def __enter__(self) -> "LiveSource":
+        self.heard_s = time.monotonic()
         self._thread = started_thread(self._read, "dlgmd-live")
         return self
 

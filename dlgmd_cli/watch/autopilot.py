@@ -7,6 +7,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
+from dlgmd_cli.models.stopping import ARDUCOPTER, PX4
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.heading import MOTION_FRESH_S, Velocity, along_axes
@@ -24,6 +25,12 @@ MAX_SPEED_M_S = 100.0
 # The modes in which vehicles brake and hold their position, by pymavlink's names: of ArduCopter, of
 # ArduRover, and Hold of PX4.
 _BRAKING, _PX4_HOLD = ("BRAKE", "HOLD"), "LOITER"
+# Modes that may be named, too: those that stop, and those that only hold a height. In these (but
+# not in LAND, and not in PX4's Hold), a throttle stick at the bottom makes the drone sink.
+_STICKS, _HEIGHT_ONLY = ("LOITER", "POSHOLD", "FLOWHOLD", "POSCTL"), ("ALT_HOLD", "ALTCTL")
+MAY_BRAKE = (*_BRAKING, *_STICKS, "LAND", *_HEIGHT_ONLY)
+# ArduCopter's parameter on which the stop in BRAKE depends (m/s³), by the names of its versions.
+JERKS = "PSC_JERK_XY", "PSC_JERK_NE", "PSC_NE_JERK"
 
 
 def dialect() -> tuple[ModuleType, ModuleType]:
@@ -46,6 +53,17 @@ class Mode(NamedTuple):
     number: int
     main: int
     sub: int
+
+    @property
+    def stops(self) -> bool:
+        """Whether the drone stops in this mode, and does not only hold its height."""
+        return self.name not in _HEIGHT_ONLY
+
+    @property
+    def follows_throttle(self) -> bool:
+        """Whether a throttle stick at the bottom makes the drone sink."""
+        is_hold = self.name == _PX4_HOLD and self.sub > 0
+        return self.name in (*_STICKS, *_HEIGHT_ONLY) and not is_hold
 
 
 class Autopilot:
@@ -71,6 +89,8 @@ class Autopilot:
     brakes : tuple of Mode
         The modes that brake, in order; none for a plane, or for a VTOL of PX4 unless it reports
         that it hovers.
+    jerk : (str, float) or None
+        ArduCopter's parameter of the stop, by name, in m/s³; None until it is reported.
     """
 
     def __init__(self, system: int, braking: Sequence[str] = ()) -> None:
@@ -78,6 +98,7 @@ class Autopilot:
         self._system, self._braking, self.heard_s = system, tuple(braking), -math.inf
         self.is_armed, self.mode, self.number = False, "", -1
         self.brakes: tuple[Mode, ...] = ()
+        self.jerk: tuple[str, float] | None = None
         self._base_mode, self._vtol_state = 0, 0
         # Velocities (north, east, down; m/s) and attitude (roll, pitch, yaw), with arrival times.
         self._velocities: dict[str, tuple[tuple[float, float, float], float]] = {}
@@ -90,6 +111,14 @@ class Autopilot:
     def is_heard(self) -> bool:
         """Whether a heartbeat came within the last 3 s."""
         return time.monotonic() - self.heard_s <= HEARD_S
+
+    @property
+    def who_brakes(self) -> str:
+        """Whose stop the first mode that brakes is: `arducopter`, `px4`, or empty if unknown."""
+        first = self.brakes[0] if self.brakes else None
+        if first is None or first.name not in ("BRAKE", _PX4_HOLD):
+            return ""
+        return ARDUCOPTER if first.name == "BRAKE" else PX4 * (first.sub > 0)
 
     @property
     def speed_m_s(self) -> float:
@@ -133,20 +162,27 @@ class Autopilot:
 
     def is_of_another(self, message: Any) -> bool:
         """Whether a message is a heartbeat from the autopilot of another system."""
-        is_beat = message.get_type() == "HEARTBEAT"
         is_pilot = message.get_srcComponent() == self._names.MAV_COMP_ID_AUTOPILOT1
-        return is_beat and is_pilot and message.get_srcSystem() != self._system
+        return self.is_beat(message) and is_pilot and message.get_srcSystem() != self._system
+
+    def is_beat(self, message: Any) -> bool:
+        """Whether a message is a vehicle's heartbeat."""
+        is_beat = message.get_type() == "HEARTBEAT"
+        return is_beat and message.autopilot != self._names.MAV_AUTOPILOT_INVALID
 
     def step(self, message: Any) -> None:
         """Update the state from one of the autopilot's messages."""
         names, kind = self._names, message.get_type()
-        if kind == "HEARTBEAT" and message.autopilot != names.MAV_AUTOPILOT_INVALID:
+        if self.is_beat(message):
             self.heard_s, self._base_mode = time.monotonic(), message.base_mode
             has_number = message.base_mode & names.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             self.number = message.custom_mode if has_number else -1
             self.is_armed = bool(message.base_mode & names.MAV_MODE_FLAG_SAFETY_ARMED)
             self.mode = self._tables.mode_string_v10(message)
             self.brakes = self._braking_modes(message.autopilot, message.type)
+        elif kind == "PARAM_VALUE":
+            if message.param_id in JERKS and 0.0 < message.param_value < math.inf:
+                self.jerk = message.param_id, round(message.param_value, 3)
         elif kind == "EXTENDED_SYS_STATE":
             self._vtol_state = message.vtol_state
         elif kind == "ATTITUDE":
@@ -203,13 +239,14 @@ def known_modes(text: str) -> list[str]:
 
 
 def braking_modes(text: str | None) -> list[str]:
-    """``BRAKE,ALT_HOLD`` as names, in order, none for None; raises ParameterError."""
+    """``BRAKE,LOITER`` as names, in order, none for None; raises ParameterError."""
     if text is None:
         return []
-    hint = "Give names such as BRAKE,ALT_HOLD,LAND."
+    hint = f"Choose from {', '.join(MAY_BRAKE)}."
     names = _modes(text, "mavlink_brake_mode", hint)
-    if numbers := [name for name in names if name.isdecimal()]:
-        raise ParameterError(argument("mavlink_brake_mode"), f"{numbers[0]} is no name", hint)
+    if others := [name for name in names if name not in MAY_BRAKE]:
+        why = f"{others[0]} is no name" if others[0].isdecimal() else f"{others[0]} does not brake"
+        raise ParameterError(argument("mavlink_brake_mode"), why, hint)
     return names
 
 

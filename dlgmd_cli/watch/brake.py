@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import HEARD_S, Autopilot, Mode
 
-# Events: a command is sent, withheld, answered; a heartbeat confirms the mode; the command failed.
+# Events: a command is sent, withheld, answered; a heartbeat confirms the mode, or a mode that only
+# holds the height; the command failed.
 BRAKE, WITHHELD, ANSWERED = "brake", "brake-withheld", "brake-answer"
-CONFIRMED, FAILED = "brake-confirmed", "brake-failed"
+CONFIRMED, HELD, FAILED = "brake-confirmed", "height-held", "brake-failed"
 # How many times a command is sent, and the time (s) between two tries.
 MAX_TRIES, REPEAT_S = 10, 0.1
 # Seconds without answer and heartbeat before the next mode is tried, and after the last try.
@@ -74,7 +75,7 @@ class Brake:
         self._is_on, self._is_over, self._withheld = False, False, ""
         self._command: _Command | None = None
         self._left: list[Mode] = []
-        self._ours: set[int] = set()
+        self._ours: dict[int, Mode] = {}
         self._number_before, self._begun_s = -1, -math.inf
 
     def begin(self) -> None:
@@ -113,7 +114,7 @@ class Brake:
             self._withhold(objection)
             return
         self._begun_s, self._number_before = now_s, self._pilot.number
-        self._ours, self._left = set(), [*self._pilot.brakes]
+        self._ours, self._left = {}, [*self._pilot.brakes]
         self._next()
 
     def objection(self) -> str:
@@ -142,7 +143,7 @@ class Brake:
     def _next(self) -> None:
         """Command the next mode."""
         mode, now_s = self._left.pop(0), time.monotonic()
-        self._ours.add(mode.number)
+        self._ours[mode.number] = mode
         self._command = _Command(mode, now_s)
         self._say(f"braking ({mode.name})", True)
         self._repeat(self._command)
@@ -157,7 +158,10 @@ class Brake:
         pilot, now_s = self._pilot, time.monotonic()
         is_seen = pilot.heard_s > command.first_s
         if is_seen and pilot.number in self._ours:
-            self._finish(CONFIRMED, mode=pilot.mode, number=command.n_sent)
+            stops = self._ours[pilot.number].stops
+            self._finish(CONFIRMED if stops else HELD, mode=pilot.mode, number=command.n_sent)
+            if not stops:
+                self._say(f"NOT BRAKING: {pilot.mode} holds the height alone", True)
         elif is_seen and pilot.number != self._number_before:
             self._command, self._is_over = None, True
             self._withhold(f"the pilot has taken over ({pilot.mode})")

@@ -1,9 +1,11 @@
-"""Connections for MAVLink: a UDP socket, which knows the senders' addresses, or a serial port."""
+"""Connections for MAVLink: a UDP socket, which knows the senders' addresses, a serial port, TCP."""
 
 import logging
 import math
+import select
+import socket
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -24,7 +26,7 @@ class SocketLink:
     """Datagrams to ``HOST:PORT``, or to the heard senders; raises OSError, ValueError."""
 
     def __init__(self, place: str, *, listens: bool) -> None:
-        host, port = split_address(place, argument("mavlink"), "0.0.0.0" if listens else None)
+        host, port = split_address(place, argument("mavlink"), "127.0.0.1" if listens else None)
         self._socket, self._target = datagram_socket(host, port)
         self._listens = listens
         self._socket.setblocking(False)
@@ -57,21 +59,33 @@ class SocketLink:
             yield place, data
 
 
-class SerialLink:
-    """A serial port that is reopened after a loss; raises OSError if it cannot be opened at first.
+class TcpPort:
+    """A TCP connection with the methods of a serial port; raises OSError."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=1.0)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
+        self.write, self.close = self._socket.sendall, self._socket.close
+
+    def read(self, n_bytes: int) -> bytes:
+        """The bytes that have come, at most so many."""
+        if not select.select([self._socket], [], [], 0.0)[0]:
+            return b""
+        if not (data := self._socket.recv(n_bytes)):
+            raise ConnectionError("it was closed")
+        return data
+
+
+class PortLink:
+    """A serial port or a TCP connection, opened again after a loss; raises OSError at first.
 
     A message that cannot be written is dropped. The loss and the return of the port are logged as
     warnings.
     """
 
-    def __init__(self, device: str, baud: int) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise MissingExtraError.of(argument("mavlink"), "pyserial") from None
-        self._open = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
-        self._too_slow, self._device = serial.SerialTimeoutException, device
-        self._port: Any = self._open()
+    def __init__(self, device: str, opened: Callable[[], Any], too_slow: type[Exception]) -> None:
+        self._device, self._open, self._too_slow = device, opened, too_slow
+        self._port = self._open()
         self._tried_s = -math.inf
 
     def write(self, data: bytes, places: Iterable[Address]) -> None:
@@ -119,14 +133,24 @@ class SerialLink:
         return True
 
 
-def open_link(url: str) -> SocketLink | SerialLink:
+def open_link(url: str) -> SocketLink | PortLink:
     """The link for a URL; raises ValueError or OSError."""
-    scheme, _, place = url.partition("://")
+    scheme, _, place = url.partition(":")
+    place = place.removeprefix("//")
     if scheme in ("udp", "udpin"):
         return SocketLink(place, listens=scheme == "udpin")
+    if scheme == "tcp":
+        opened = partial(TcpPort, *split_address(place, argument("mavlink")))
+        return PortLink(place, opened, TimeoutError)
     if scheme != "serial":
-        raise ValueError("only udp://, udpin:// and serial:// are links")
-    return SerialLink(*serial_place(place))
+        raise ValueError("only udp://, udpin://, tcp:// and serial:// are links")
+    try:
+        import serial
+    except ImportError:
+        raise MissingExtraError.of(argument("mavlink"), "pyserial") from None
+    device, baud = serial_place(place)
+    opened = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
+    return PortLink(device, opened, serial.SerialTimeoutException)
 
 
 def serial_place(place: str) -> tuple[str, int]:

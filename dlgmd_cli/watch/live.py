@@ -253,13 +253,15 @@ def live(
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
     request = fold(model, None, param, {**options, "threshold": chosen.threshold})
-    setup, threshold_at = _at_speed(request.setup, chosen)
-    frames, reports = _source(source, setup, request.options, chosen), Reports()
+    reports = Reports()
+    setup, threshold_at = _at_speed(request.setup, chosen, reports)
+    frames = _source(source, setup, request.options, chosen)
     alarm, statistics, state = _alarm(setup), Statistics(), SourceState(frames)
     recorded = partial(Recording, frames, setup, request.options, alarm.model, state)
     frames.keeps_pictures, recording, url = chosen.keep_last is not None, None, ""
     with ExitStack() as stack:
-        receivers = _outputs(chosen, reports, recorded)
+        rule = alarm.rule if threshold_at is None else None
+        receivers = _outputs(chosen, reports, recorded, rule)
         has_others = len(receivers) > 1 or chosen.serve is not None or bool(on_answer)
         stack.callback(outputs.finish, receivers)
         puts: list[Callable[[Answer], object]] = [one.put for one in receivers]
@@ -325,8 +327,13 @@ def _deliver(
     return True
 
 
-def _at_speed(setup: Setup, chosen: LiveOptions) -> tuple[Setup, Callable[[float], float] | None]:
-    """The model with the threshold for a speed; or, for the autopilot's, speed -> threshold."""
+def _at_speed(
+    setup: Setup, chosen: LiveOptions, reports: Reports
+) -> tuple[Setup, Callable[[float], float] | None]:
+    """The model with the threshold for a speed; or, for the autopilot's, speed -> threshold.
+
+    By the autopilot's speed, the stop is the one that the autopilot told, unless one is given.
+    """
     speed, params = stopping.speed_of(chosen.speed_m_s, AUTOPILOT), setup.params
     if speed is None:
         return setup, None
@@ -340,7 +347,8 @@ def _at_speed(setup: Setup, chosen: LiveOptions) -> tuple[Setup, Callable[[float
     if chosen.record is not None:
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
-    return setup, lambda m_s: stopping.threshold_for(params, brake, m_s)
+    given = None if (chosen.brake, chosen.tilt, chosen.jerk) == (None, None, None) else brake
+    return setup, lambda m_s: stopping.threshold_for(params, given or reports.brake or brake, m_s)
 
 
 def _alarm(setup: Setup) -> Alarm:
@@ -384,7 +392,10 @@ def _source(source: str, setup: Setup, reading: InputOptions, chosen: LiveOption
 
 
 def _outputs(
-    chosen: LiveOptions, reports: Reports, recorded: Callable[..., Recording]
+    chosen: LiveOptions,
+    reports: Reports,
+    recorded: Callable[..., Recording],
+    rule: Rule | None,
 ) -> list[outputs.Receiver]:
     """The requested receivers with a thread of their own."""
     makers: dict[str, Callable[[], Any]] = {
@@ -399,6 +410,8 @@ def _outputs(
             modes=known_modes(str(chosen.mavlink_modes)) if chosen.mavlink_brake else (),
             braking=braking_modes(chosen.mavlink_brake_mode),
             signing=chosen.mavlink_signing,
+            rule=rule,
+            react_s=chosen.react,
         ),
         "keep_last": lambda: LastSeconds(
             float(chosen.keep_last or 0.0), Path(chosen.record or ""), recorded

@@ -1,53 +1,48 @@
 """MAVLink: alarms for an autopilot, reports from the autopilot, and the command to brake."""
 
-import hashlib
 import logging
 import math
 import time
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
-from dlgmd_cli.errors import Once, ParameterError, argument
+from dlgmd_cli import Rule
+from dlgmd_cli.errors import Once, ParameterError, argument, counted
+from dlgmd_cli.models.stopping import Brake as StoppingBrake
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.watch.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
+from dlgmd_cli.watch.autopilot import HEARD_S, MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.watch.brake import Brake
 from dlgmd_cli.watch.links import Address, open_link
 from dlgmd_cli.watch.load import RATE, in_words
+from dlgmd_cli.watch.peers import AUTOPILOTS, Peer, Peers
 from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.signing import OLD, Signing, key_in
+from dlgmd_cli.watch.stop import Stop
 from dlgmd_cli.watch.watch import BEGIN, BLIND, END, SEES, Answer
 
 _log = logging.getLogger(__name__)
 
 # Event: the autopilot is heard, is no longer heard, or changes its mode.
 AUTOPILOT = "autopilot"
+# Event: messages are dropped that are not signed by the key.
+UNSIGNED = "unsigned"
 # An alarm that a slow link has delayed by more than this (s) does not brake.
 _LATE_S = 1.0
 HEARTBEAT_S, _VALUES_S = 1.0, 0.2
 # MAV_COLLISION_SRC has no value for a camera: 0 is ADS-B, 1 another aircraft's GPS. 255 is unused.
 _CAMERA = 255
-# An address is answered for 5 s after its last message; at most 32 addresses are known at once.
-_PLACE_S, _MAX_PLACES = 5.0, 32
+# A radio speaks for itself, and has no key.
+_OF_RADIOS = "RADIO", "RADIO_STATUS"
 # Time limit (s) of reading: a flood of messages must not delay alarms.
 _READ_S = 0.01
 # Number of bytes without a valid message above which a warning is given.
 _NONSENSE = 500
 # The autopilot is asked to send its motion this often (us); until it comes, again after _ASK_S (s).
 _MOTION_US, _ASK_S = 100_000, 5.0
-# Signatures count time in units of 10 us from the start of 2015.
-_SIGNING_BEGIN_S, _SIGNING_UNIT_S = 1_420_070_400, 1e-5
 # Bytes of a STATUSTEXT; number of identifiers for long texts. Short texts have identifier 0.
 _TEXT_BYTES, _MOST_TEXTS = 50, 65_535
-
-
-@dataclass
-class _Peer:
-    """A sender: its parser, and the times (s) of its last message and its last as the autopilot."""
-
-    parser: Any
-    heard_s: float = -math.inf
-    pilot_s: float = -math.inf
 
 
 class Mavlink:
@@ -61,14 +56,15 @@ class Mavlink:
 
     With `modes`, an alarm commands the autopilot to brake, see `Brake`: only if its last heartbeat
     is at most 3 s old, it is armed and in one of the modes; never while the source shows nothing,
-    or if two addresses send as the autopilot. Commands and the autopilot's answers are reported as
-    events, and STATUSTEXT tells the pilot.
+    or if two autopilots speak with the same number, see `Peers`. Commands and the autopilot's
+    answers are reported as events, and STATUSTEXT tells the pilot.
 
     Parameters
     ----------
     url : str
-        ``udp://HOST:PORT`` to send to an address, ``udpin://[HOST:]PORT`` to answer senders, or
-        ``serial:///dev/ttyACM0:57600``. A lost serial port is opened again.
+        ``udp://HOST:PORT`` to send to an address, ``udpin://[HOST:]PORT`` to answer senders (those
+        of this machine unless a host is given), ``tcp:HOST:PORT``, or
+        ``serial:///dev/ttyACM0:57600``. A lost port or connection is opened again.
     reports : Reports
         Receives events, and the speed and motion of the drone.
     system, component : int
@@ -79,6 +75,10 @@ class Mavlink:
         The modes that brake, in order; by default, the usual modes of the vehicle.
     signing : str, optional
         File with the passphrase to sign messages with; its SHA-256 is the key, as in MAVProxy.
+        What comes without a right signature is dropped.
+    rule, react_s : Rule or None, float
+        The rule that raises the alarms, None if its threshold follows the speed, and the time from
+        an alarm to the command: an alarm that is too late for the stop is warned of, see `Stop`.
 
     Raises
     ------
@@ -100,8 +100,10 @@ class Mavlink:
         modes: Collection[str] = (),
         braking: Sequence[str] = (),
         signing: str | None = None,
+        rule: Rule | None = None,
+        react_s: float = StoppingBrake.react_s,
     ) -> None:
-        key = None if signing is None else _key_in(signing)
+        key = None if signing is None else key_in(signing)
         self._names = names = dialect()[0]
         try:
             # pymavlink's own links print to stdout and never recover from a failure.
@@ -111,12 +113,14 @@ class Mavlink:
             hint = "Write, for example, udp://127.0.0.1:14550."
             raise ParameterError(argument("mavlink"), why, hint) from None
         self._mav = names.MAVLink(self, system, component)
-        self._mav.signing.secret_key, self._mav.signing.sign_outgoing = key, key is not None
+        self._signing, self._dropped = Signing(self._mav, key), Counter[str]()
         self._reports, self._own = reports, (system, component)
+        self._target = system, names.MAV_COMP_ID_AUTOPILOT1
         self._pilot = Autopilot(system, braking)
         self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
-        self._peers: dict[Address, _Peer] = {}
+        self._stop = Stop(self._pilot, self._ask_parameter, rule, react_s)
+        self._peers = Peers(names)
         self._towards: list[Address] | None = None
         self._reported: dict[str, Json] = {} if modes else {"heard": False}
         self._told = Once()
@@ -158,22 +162,26 @@ class Mavlink:
     def beat(self) -> None:
         """Read messages, and repeat a command or send a heartbeat if due."""
         self._read()
-        now_s, state = time.monotonic(), self._pilot.to_dict()
-        if (n_addresses := len(self._places_of_pilot())) > 1:
-            state["addresses"] = n_addresses
+        now_s, state = time.monotonic(), {**self._pilot.to_dict(), **self._peers.facts()}
+        if self._is_to_brake:
+            state |= self._step_stop()
         self._reports.speed_m_s = self._pilot.speed_m_s
         self._reports.motion = self._pilot.move()
         self._ask(now_s)
-        if state != self._reported:
+        is_early = now_s - self._begin_s < HEARD_S and not self._pilot.is_heard
+        if state != self._reported and not is_early:
             self._reported = state
-            self._report(AUTOPILOT, **state)
+            self._report(AUTOPILOT, **state, **self._at_speed())
         self._brake.step(self._objection())
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             self._send_heartbeat(self._state)
+            self._ask_who_is_there()
 
     def close(self) -> None:
         """Send that the watch has ended, and close the link."""
+        for flaw, n in self._dropped.items():
+            _log.warning("%s: dropped %s: %s", argument("mavlink"), counted(n, "message"), flaw)
         try:
             self._tell(self._names.MAV_SEVERITY_WARNING, "the watch has ended")
             self._send_heartbeat(self._names.MAV_STATE_POWEROFF)
@@ -187,21 +195,14 @@ class Mavlink:
 
     def write(self, data: bytes) -> None:
         """Send a message: a command to the autopilot, any other message to all heard senders."""
-        from_s = time.monotonic() - _PLACE_S
-        heard = [place for place, peer in self._peers.items() if peer.heard_s >= from_s]
-        self._link.write(data, heard if self._towards is None else self._towards)
-
-    def _places_of_pilot(self) -> list[Address]:
-        """The addresses that sent as the autopilot within the last 5 s."""
-        from_s = time.monotonic() - _PLACE_S
-        return [place for place, peer in self._peers.items() if peer.pilot_s >= from_s]
+        self._link.write(data, self._peers.heard() if self._towards is None else self._towards)
 
     def _objection(self) -> str:
         """A reason not to command now that does not come from the autopilot; empty for none."""
         if self._reason:
             return f"blind, {self._reason}"
-        if len(self._places_of_pilot()) > 1:
-            return "two addresses speak for the autopilot"
+        if self._peers.kinship() == AUTOPILOTS:
+            return f"{AUTOPILOTS} of system {self._own[0]}"
         if time.monotonic() - self._alarm_s > _LATE_S:
             return f"the alarm is more than {_LATE_S:g} s old"
         return ""
@@ -222,8 +223,7 @@ class Mavlink:
             self._asked_s = -math.inf
             return
         is_known = self._reports.motion is not None and self._asked_s > -math.inf
-        is_due = now_s - self._asked_s >= _ASK_S
-        if is_known or not is_due or len(self._places_of_pilot()) > 1:
+        if is_known or now_s - self._asked_s < _ASK_S:
             return
         self._asked_s = now_s
         for number in (
@@ -233,12 +233,48 @@ class Mavlink:
         ):
             self._order(names.MAV_CMD_SET_MESSAGE_INTERVAL, (number, _MOTION_US, 0))
 
+    def _ask_who_is_there(self) -> None:
+        """If several addresses speak as the autopilot, ask each for its clock, see `Peers`."""
+        names, speakers = self._names, self._peers.speakers()
+        if len(speakers) > 1:
+            command, clock = names.MAV_CMD_REQUEST_MESSAGE, names.MAVLINK_MSG_ID_SYSTEM_TIME
+            with self._only_to(speakers):
+                self._mav.command_long_send(*self._target, command, 0, clock, 0, 0, 0, 0, 0, 0)
+
+    def _step_stop(self) -> dict[str, Json]:
+        """Find out how the autopilot stops; returns the entries for the event."""
+        self._stop.step()
+        self._reports.brake = self._stop.brake
+        if line := self._stop.warning():
+            _log.warning("%s: %s", argument("mavlink"), line)
+        for mode in self._pilot.brakes:
+            if mode.follows_throttle:
+                what = "with a throttle stick at the bottom, the drone sinks"
+                self._warn_once(f"in {mode.name}, {what}; put it into the middle")
+        return self._stop.facts() if self._pilot.is_heard else {}
+
+    def _at_speed(self) -> dict[str, Json]:
+        """How long before contact an alarm must begin at the present speed, if both are known."""
+        brake, speed_m_s = self._stop.brake, self._pilot.speed_m_s
+        if brake is None or math.isnan(speed_m_s):
+            return {}
+        return {"stop_s": round(brake.stop_s(speed_m_s), 2)}
+
+    def _ask_parameter(self, name: str) -> None:
+        with self._only_to(self._peers.speakers()[:1]):
+            self._mav.param_request_read_send(*self._target, name.encode(), -1)
+
     def _order(self, command: int, numbers: tuple[int, int, int], n_before: int = 0) -> None:
         """Send a command with its first three parameters to the autopilot alone."""
-        to = self._own[0], self._names.MAV_COMP_ID_AUTOPILOT1
-        self._towards = self._places_of_pilot()
+        with self._only_to(self._peers.speakers()[:1]):
+            self._mav.command_long_send(*self._target, command, n_before, *numbers, 0, 0, 0, 0)
+
+    @contextmanager
+    def _only_to(self, peers: Sequence[Peer]) -> Iterator[None]:
+        """Send to these senders alone meanwhile."""
+        self._towards = [peer.place for peer in peers]
         try:
-            self._mav.command_long_send(*to, command, n_before, *numbers, 0, 0, 0, 0)
+            yield
         finally:
             self._towards = None
 
@@ -261,15 +297,12 @@ class Mavlink:
         """Process the messages that have come, within the time limit."""
         until_s = time.monotonic() + _READ_S
         for place, data in self._link.read():
-            peer = self._peers.setdefault(place, _Peer(self._names.MAVLink(None)))
-            peer.parser.robust_parsing = True
+            peer = self._peers.of(place)
             try:
                 for message in peer.parser.parse_buffer(data) or ():
                     self._take(message, peer)
             except Exception:  # pymavlink may raise anything for damaged messages
                 self._n_nonsense += len(data)
-            if len(self._peers) > _MAX_PLACES:
-                del self._peers[min(self._peers, key=lambda known: self._peers[known].heard_s)]
             if time.monotonic() >= until_s:
                 break
         if self._n_nonsense > _NONSENSE:
@@ -278,20 +311,34 @@ class Mavlink:
             what = f"the autopilot reports {speed:g} m/s"
             self._warn_once(f"{what}; speeds beyond {MAX_SPEED_M_S:g} m/s are ignored")
 
-    def _take(self, message: Any, peer: "_Peer") -> None:
+    def _take(self, message: Any, peer: Peer) -> None:
         """Process a message from a sender."""
         if message.get_type() == "BAD_DATA":
             self._n_nonsense += len(message.data)
             return
+        if flaw := self._signing.flaw(message):
+            self._drop(message, peer, flaw)
+            return
         peer.heard_s = time.monotonic()
         if self._pilot.is_from(message):
-            peer.pilot_s = peer.heard_s
+            if not self._peers.take(peer, message, is_beat=self._pilot.is_beat(message)):
+                return
             self._pilot.step(message)
             if message.get_type() == "COMMAND_ACK":
                 self._take_answer(message)
         elif self._pilot.is_of_another(message) and not self._pilot.is_heard:
             what = f"an autopilot of system {message.get_srcSystem()} is heard"
             self._warn_once(f"{what}; {argument('mavlink_system')} says which one to command")
+
+    def _drop(self, message: Any, peer: Peer, flaw: str) -> None:
+        """Count a message that the key does not vouch for, and report each flaw once."""
+        if message.get_type() in _OF_RADIOS:
+            return
+        self._dropped[flaw] += 1
+        if flaw == OLD:
+            peer.heard_s = time.monotonic()
+        if self._dropped[flaw] == 1:
+            self._report(UNSIGNED, why=flaw, address=peer.name)
 
     def _warn_once(self, text: str) -> None:
         if self._told.is_new(text.partition(";")[2]):
@@ -330,17 +377,7 @@ class Mavlink:
             self._mav.named_value_float_send(boot_ms, name.encode(), getattr(detection, name))
 
     def _send_heartbeat(self, state: int) -> None:
-        names, signing = self._names, self._mav.signing
-        passed = int((time.time() - _SIGNING_BEGIN_S) / _SIGNING_UNIT_S)
-        signing.timestamp = max(signing.timestamp, passed)
+        names = self._names
+        self._signing.tick()
         kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
         self._mav.heartbeat_send(kind, pilot, 0, 0, state)
-
-
-def _key_in(path: str) -> bytes:
-    """The key of the passphrase in a file; raises ParameterError."""
-    try:
-        return hashlib.sha256(Path(path).read_text(encoding="utf-8").strip().encode()).digest()
-    except (OSError, ValueError) as error:
-        hint = "Give a text file with the passphrase of the ground station."
-        raise ParameterError(argument("mavlink_signing"), f"{path}: {error}", hint) from None

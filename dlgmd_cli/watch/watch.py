@@ -39,9 +39,9 @@ BLIND_WORDS = {
 }
 # Interval (s) between checks of the stop flag while no frame comes.
 _WAIT_S = 0.1
-# A source is lost after SILENT_S seconds without a frame, or _OPENING_S before the first frame.
-# SILENT_S and the time to notice the loss together are 1 s.
-SILENT_S, _OPENING_S = 0.9, 5.0
+# A source is lost after SILENT_S seconds without a frame, also before its first frame. SILENT_S and
+# the time to notice the loss together are 1 s.
+SILENT_S = 0.9
 # Frames for half a second, less than this many seconds apart, end the loss.
 _SOON_S = 0.3
 
@@ -326,7 +326,6 @@ class Watch:
             return None
         direction = self._heading.direction()
         self._alarm.heading(*(direction or ()))
-        self._state.n_headed += direction is not None
         return direction
 
     def _reported(
@@ -409,14 +408,13 @@ class SourceState:
         Time since when `reason` holds, by `time.monotonic`; NaN at first.
     is_silent : bool
         Whether the source counts as lost because no frame has come for too long.
-    n_headed, n_without : int
-        Numbers of frames measured around a reported direction of flight, and of frames without a
-        part that a busy computer left out.
+    n_without : int
+        Number of frames without a part that a busy computer left out.
     """
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self.reason, self.is_silent = source, "", False
-        self.n_headed = self.n_without = 0
+        self.n_without = 0
         self._blind, self._back_s = "", math.nan
         self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
@@ -429,8 +427,7 @@ class SourceState:
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
-        limit_s = max(SILENT_S, usual_s) if source.n_frames else _OPENING_S
-        self.is_silent = silent_s > limit_s and not source.may_pause
+        self.is_silent = silent_s > max(SILENT_S, usual_s) and not source.may_pause
         if row is not None:
             self._blind = row.blind or ""
         is_lost = source.is_lost or self.is_silent
@@ -464,11 +461,8 @@ class SourceState:
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:
-        """A line if a heading was used, and a line per reason for the time without a view."""
+        """A line per reason for the time without a view or a full answer."""
         lines = []
-        if self.n_headed:
-            frames = counted(self.n_headed, "frame")
-            lines.append(f"{frames} measured around the autopilot's heading")
         if self.n_without:
             frames = counted(self.n_without, "frame")
             lines.append(f"{frames} not answered in full: the computer was too busy")

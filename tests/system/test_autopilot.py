@@ -134,6 +134,16 @@ def test_the_threshold_follows_the_speed_of_the_autopilot():
         flight.end()
 
 
+def test_the_threshold_follows_the_stop_that_the_autopilot_tells():
+    rule = ("--alarm", "ttc", "--speed-m-s", "autopilot")
+    needed_s = Brake.parse("arducopter:20").stop_s(1.0) + MARGIN_S
+    with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
+        flight.tells("autopilot", brake="arducopter:20", brake_by="PSC_JERK_XY")
+        flight.obey("speed 1")
+        flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s, 3))
+        flight.end()
+
+
 def test_the_heading_of_the_autopilot_is_followed():
     with flying("copter", "udp", "--mavlink-modes", "GUIDED") as flight:
         flight.tells("heading", by="default", why="no attitude and velocity within 1 s")

@@ -123,7 +123,8 @@ def test_the_example_prints_csv(runs, tmp_path):
 def test_an_angle_of_the_command_line_goes_before_that_of_a_file(runs, tmp_path):
     (tmp_path / "mine.yaml").write_text("preset: flight-small\nfov: 100\ncamera_tilt: 3\n")
     runs("export", "--config", "mine.yaml", "--fov", "120", "--size", "56x42", "--out", "x")
-    assert "--fov 120 --camera-tilt 3" in (tmp_path / "x/README.md").read_text()
+    readme = (tmp_path / "x/README.md").read_text()
+    assert "--fov 120 --camera-tilt 3 --size 56x42 --repeats keep" in readme
 
 
 def test_costs_in_json_table_and_header(dlgmd, runs, tmp_path):

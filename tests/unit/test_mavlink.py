@@ -19,9 +19,10 @@ from dlgmd_cli import Alarm
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.watch import links, mavlink, outputs
-from dlgmd_cli.watch.autopilot import braking_modes, known_modes
+from dlgmd_cli.watch.autopilot import JERKS, braking_modes, known_modes
 from dlgmd_cli.watch.heading import Heading, along_axes, direction_of
 from dlgmd_cli.watch.reports import Reports
 from dlgmd_cli.watch.watch import Answer
@@ -159,6 +160,72 @@ def test_messages_are_signed(link, clock, tmp_path):
         mavlink.Mavlink("udp://x:1", Reports(), signing=str(tmp_path / "none"))
 
 
+KEY = hashlib.sha256(b"over the hills").digest()
+
+
+def signed(link, clock, tmp_path, key=KEY):
+    """A watch that is told to brake and has the key, its reports, and an autopilot with a key."""
+    (tmp_path / "key").write_text("over the hills")
+    send, reports = braking(signing=str(tmp_path / "key"))
+    pilot = Pilot(link, place=HERE)
+    pilot.mav.signing.secret_key, pilot.mav.signing.sign_outgoing = key, True
+    pilot.mav.signing.timestamp = send._mav.signing.timestamp
+    return send, reports, pilot
+
+
+def test_with_a_key_no_forger_counts(link, clock, tmp_path, caplog):
+    """Neither unsigned, nor by another key "from the future", nor what was sent before."""
+    send, reports, pilot = signed(link, clock, tmp_path)
+    forgers = [Pilot(link, place=("10.0.0.9", number)) for number in (1, 2)]
+    forgers[1].mav.signing.secret_key, forgers[1].mav.signing.sign_outgoing = bytes(32), True
+    forgers[1].mav.signing.timestamp = pilot.mav.signing.timestamp + 10**9
+    for _ in range(20):
+        for forger in forgers:
+            forger.heartbeat(STABILIZE, armed=False)
+        pilot.heartbeat()
+        link.others.append((("10.0.0.9", 3), link.others[-1][1]))  # what it has heard
+        forgers[0].mav.radio_status_send(0, 0, 0, 0, 0, 0, 0)  # as a radio does, and is not told
+        send.beat()
+        clock.now += 1.0
+    assert [*reports][:4] == [
+        ("unsigned", {"why": "not signed", "address": "10.0.0.9:1"}),
+        ("unsigned", {"why": "signed with another key", "address": "10.0.0.9:2"}),
+        ("unsigned", {"why": "old, or sent twice", "address": "10.0.0.9:3"}),
+        ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True}),
+    ]
+    send(answer(True, event="begin", captured_s=clock.now))
+    assert commands(link) == [(176, 0, 129, BRAKE, 0)]
+    send.close()
+    flaws = "not signed", "signed with another key", "old, or sent twice"
+    assert caplog.messages == [f"mavlink: dropped 20 messages: {flaw}" for flaw in flaws]
+
+
+def test_a_wrong_key_is_told_from_no_answer(link, clock, tmp_path):
+    send, reports, pilot = signed(link, clock, tmp_path, key=bytes(32))
+    pilot.heartbeat()
+    send.beat()
+    assert reports[0] == (
+        "unsigned",
+        {"why": "signed with another key", "address": "127.0.0.1:9"},
+    )
+    clock.now += 3.1
+    send.beat()
+    assert reports[1] == ("autopilot", {"heard": False}) and len(reports) == 2
+
+
+def test_an_autopilot_without_a_clock_is_answered_until_its_time_is_right(link, clock, tmp_path):
+    """By MAVLink's rules, it takes the time of what it gets."""
+    send, reports, pilot = signed(link, clock, tmp_path)
+    now, pilot.mav.signing.timestamp = pilot.mav.signing.timestamp, 1
+    pilot.heartbeat()
+    send.beat()
+    assert reports[0][1]["why"] == "old, or sent twice" and ("HEARTBEAT", HERE) in link.sent_to
+    pilot.mav.signing.timestamp = now
+    pilot.heartbeat()
+    send.beat()
+    assert reports[1] == ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True})
+
+
 def braking(modes="GUIDED", **more):
     reports = Reports()
     send = mavlink.Mavlink("udp://x:1", reports, modes=known_modes(modes), **more)
@@ -175,6 +242,7 @@ def told(reports):
 def commands(link):
     """The commands of a mode; after each, a heartbeat is asked for."""
     sent = [one for one in link.of("COMMAND_LONG") if one.command != SET_INTERVAL]
+    sent = [one for one in sent if (one.command, one.param1) != (512, 2)]  # the time of its start
     modes, beats = sent[::2], sent[1::2]
     assert all((one.command, one.param1) == (512, 0) for one in beats)
     return [
@@ -260,7 +328,9 @@ def test_the_heartbeat_goes_on_without_frames(link, monkeypatch):
 def test_the_state_of_the_autopilot_is_reported(link, clock):
     send, reports = braking()
     pilot = Pilot(link)
-    send.beat()
+    for _ in range(2):  # an autopilot that is there is not called lost before its first heartbeat
+        send.beat()
+        clock.now += 0.9
     pilot.heartbeat()
     send.beat()
     send.beat()
@@ -269,7 +339,6 @@ def test_the_state_of_the_autopilot_is_reported(link, clock):
     clock.now += 3.1
     send.beat()
     assert [*reports] == [
-        ("autopilot", {"heard": False}),
         ("autopilot", {"heard": True, "mode": "GUIDED", "armed": True}),
         ("autopilot", {"heard": True, "mode": "STABILIZE", "armed": False}),
         ("autopilot", {"heard": False}),
@@ -379,6 +448,7 @@ def test_others_are_not_the_autopilot(link, clock):
     send, reports = braking(system=3)
     for source in ((3, 154), (1, 1), (255, 190)):
         Pilot(link, source=source).heartbeat()
+    clock.now += 3.0
     send.beat()
     assert reports == Reports([("autopilot", {"heard": False})])
     Pilot(link, source=(3, 1)).heartbeat()
@@ -676,6 +746,94 @@ def test_land_only_where_it_is_named(link, clock):
     assert told(reports)[-1] == ("brake-confirmed", {"mode": "LAND", "number": 1})
 
 
+@pytest.mark.parametrize(
+    ("pilot", "mode", "name"), [(ARDUPILOT, 2, "ALT_HOLD"), (PX4, 2 << 16, "ALTCTL")]
+)
+def test_a_mode_that_only_holds_a_height_is_no_brake(link, clock, caplog, pilot, mode, name):
+    """The drone flies on, and sinks with the throttle stick: both are told."""
+    before = MISSION if pilot == PX4 else GUIDED
+    more = {"pilot": pilot, "mode": before, "braking": [name]}
+    drone, reports = flying(link, clock, "GUIDED,MISSION", **more)
+    drone.alarm(2.0)
+    assert drone.mode == mode and told(reports)[-1] == ("height-held", {"mode": name, "number": 1})
+    assert texts(link)[-1] == f"NOT BRAKING: {name} holds the height alone"
+    what = "with a throttle stick at the bottom, the drone sinks; put it into the middle"
+    assert caplog.messages == [f"mavlink: in {name}, {what}"]
+
+
+# The stop.
+
+
+def stops(link, clock, speed_m_s=3.0, jerk=None, seconds=5.0, name="PSC_JERK_XY", **more):
+    """Let a drone fly that answers for its jerk, if any; the reports."""
+    drone, reports = flying(link, clock, **more)
+    for _ in range(int(seconds)):
+        drone.mav.local_position_ned_send(0, 0, 0, 0, 0, speed_m_s, 0)
+        if jerk is not None and link.of("PARAM_REQUEST_READ"):
+            drone.mav.param_value_send(name.encode(), jerk, 9, 1, 0)
+        drone.live(1.0)
+    return reports
+
+
+def asked_for(link):
+    return [one.param_id for one in link.of("PARAM_REQUEST_READ")]
+
+
+@pytest.mark.parametrize("name", JERKS)
+def test_arducopter_tells_its_stop(link, clock, name):
+    """The parameter has another name in later versions; it is read once, and none is written."""
+    reports = stops(link, clock, jerk=20.0, name=name)
+    assert asked_for(link) == [*JERKS] and not link.of("PARAM_SET")
+    state = {"heard": True, "mode": "GUIDED", "armed": True}
+    needed_s = round(Brake.parse("arducopter:20").stop_s(3.0), 2)
+    stop = {"brake": "arducopter:20", "brake_by": name, "stop_s": needed_s}
+    assert [*reports] == [("autopilot", state | stop)]
+    assert reports.brake == Brake.parse("arducopter:20")
+
+
+def test_without_an_answer_the_default_is_assumed(link, clock):
+    reports = stops(link, clock)
+    assert len(asked_for(link)) == 3 * len(JERKS)
+    facts = reports[-1][1]
+    assert (facts["brake"], facts["brake_by"]) == ("arducopter", "default, no answer")
+    assert reports.brake == Brake.parse("arducopter") and facts["stop_s"] > 1.7
+
+
+def test_px4_is_not_asked(link, clock):
+    reports = stops(link, clock, pilot=PX4, mode=MISSION, modes="MISSION")
+    assert not asked_for(link) and reports.brake == Brake.parse("px4")
+
+
+@pytest.mark.parametrize(
+    ("jerk", "speed_m_s", "is_armed", "cure"),
+    [
+        (5.0, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (5.0, 5.0, True, "set PSC_JERK_XY to 15, which"),
+        (None, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (20.0, 3.0, True, None),
+        (5.0, 3.0, False, None),
+        (5.0, 0.2, True, None),
+    ],
+)
+def test_an_alarm_that_is_too_late_is_warned_of(
+    link, clock, caplog, jerk, speed_m_s, is_armed, cure
+):
+    """Once, armed and moving: which parameter, which value, and what it costs."""
+    send, _ = braking(rule=Alarm().rule)
+    drone = Drone(link, clock, send)
+    drone.is_armed = is_armed
+    for _ in range(8):
+        drone.mav.local_position_ned_send(0, 0, 0, 0, 0, speed_m_s, 0)
+        if jerk is not None:
+            drone.mav.param_value_send(b"PSC_JERK_XY", jerk, 9, 1, 0)
+        drone.live(1.0)
+    lines = [line for line in caplog.messages if "is too late for a stop" in line]
+    assert len(lines) == (cure is not None)
+    for line in lines:
+        assert f"at {speed_m_s} m/s, expansion_alarm 0.48" in line and cure in line
+        assert "false alarms" in line
+
+
 def test_a_command_is_not_sent_again_to_what_is_not_armed_any_more(link, clock):
     drone, reports = flying(link, clock)
     drone.result = None
@@ -753,22 +911,71 @@ def test_commands_go_to_the_autopilot_alone(link, clock):
     assert {place for _, place in link.sent_to} == {GROUND}
 
 
-def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
-    """Until one of them has been silent for 5 s."""
+def two(link, clock, apart_ms):
+    """Two addresses that speak as the autopilot, and say when they were started; the reports."""
     send, reports = braking()
     first, second = (Pilot(link, place=place) for place in COPTERS)
     first.heartbeat()
-    second.heartbeat()
+    second.heartbeat(STABILIZE, armed=False)
+    send.beat()
+    first.mav.attitude_send(90_000, 0, 0, 0, 0, 0, 0)
+    if apart_ms is not None:
+        second.mav.system_time_send(0, 90_000 + apart_ms)
     send(answer(True, event="begin", captured_s=clock.now))
-    state = {"heard": True, "mode": "GUIDED", "armed": True, "addresses": 2}
-    assert reports[0] == ("autopilot", state) and not commands(link)
-    assert told(reports) == [("brake-withheld", {"why": "two addresses speak for the autopilot"})]
-    for _ in range(80):
+    return send, reports, first
+
+
+@pytest.mark.parametrize(("apart_ms", "are"), [(300, "links of one autopilot"), (None, "unknown")])
+def test_the_first_address_stays_the_autopilot(link, clock, apart_ms, are):
+    """Be the other another of its links, or whoever: it is named, and not heeded."""
+    _, reports, _ = two(link, clock, apart_ms)
+    state = {"heard": True, "mode": "GUIDED", "armed": True}
+    addresses = {"addresses": ["127.0.0.1:2", "127.0.0.1:3"]}
+    assert reports[-2] == ("autopilot", state | addresses | {"are": are})
+    assert commands(link) == [(176, 0, 129, BRAKE, 0)]
+    orders = {place for kind, place in link.sent_to if kind == "COMMAND_LONG"}
+    assert orders == {*COPTERS}  # both are asked for their clocks
+
+
+def test_messages_that_waited_do_not_make_two_autopilots(link, clock):
+    """As on a busy computer, where those of one address are read before those of the other."""
+    send, reports, first = two(link, clock, 300)
+    for _ in range(3):
+        clock.now += 1.5
+        first.mav.attitude_send(90_200, 0, 0, 0, 0, 0, 0)
+        send.beat()
+        first.mav.attitude_send(int(1e3 * (clock.now - 10)), 0, 0, 0, 0, 0, 0)
+        send.beat()
+    assert "several autopilots" not in [facts.get("are") for _, facts in reports]
+
+
+def test_two_autopilots_with_one_number_are_not_commanded(link, clock):
+    """Until one of them has been silent for 5 s."""
+    send, reports, first = two(link, clock, 5_000)
+    assert reports[1][1]["are"] == "several autopilots" and not commands(link)
+    assert told(reports) == [("brake-withheld", {"why": "several autopilots of system 1"})]
+    for number in range(80):
         clock.now += 0.1
         first.heartbeat()
+        if number == 49:  # until then, both are asked for their clocks
+            assert not commands(link)
+            link.sent_to.clear()
         send(answer(True, captured_s=clock.now))
     assert len(commands(link)) == 10  # it does not answer
     assert {place for kind, place in link.sent_to if kind == "COMMAND_LONG"} == {COPTERS[0]}
+
+
+def test_another_address_becomes_the_autopilot_after_five_seconds(link, clock):
+    send, reports = braking()
+    first, second = (Pilot(link, place=place) for place in COPTERS)
+    first.heartbeat()
+    for number in range(60):
+        second.heartbeat(STABILIZE)
+        send.beat()
+        clock.now += 0.1
+        if number in (28, 49):
+            assert reports[-1][1].get("mode", "") == ("GUIDED" if number == 28 else "")
+    assert reports[-1] == ("autopilot", {"heard": True, "mode": "STABILIZE", "armed": True})
 
 
 def test_another_system_is_a_hint(link, clock, caplog):
@@ -784,8 +991,8 @@ def test_another_system_is_a_hint(link, clock, caplog):
 
 
 def test_mavlink_addresses():
-    with pytest.raises(ValueError, match="only udp://, udpin:// and serial://"):
-        links.open_link("tcp://a:5")
+    with pytest.raises(ValueError, match="only udp://, udpin://, tcp:// and serial://"):
+        links.open_link("http://a:5")
     assert links.serial_place("/dev/ttyACM0:115200") == ("/dev/ttyACM0", 115200)
     assert links.serial_place("/dev/ttyS1") == ("/dev/ttyS1", 57600)
 
@@ -833,12 +1040,33 @@ def test_a_serial_port_that_goes_comes_back(tmp_path, caplog, capfd, monkeypatch
     assert capfd.readouterr().out == ""  # nothing but JSON is ever on stdout
 
 
+@pytest.mark.parametrize("scheme", ["tcp:", "tcp://"])
+def test_a_tcp_connection_that_ends_is_made_again(monkeypatch, caplog, scheme):
+    monkeypatch.setattr(links, "AGAIN_S", 0.02)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = links.open_link(f"{scheme}127.0.0.1:{server.getsockname()[1]}")
+        got = []
+        for _ in range(2):
+            until(lambda: link.write(b"here", []) or select.select([server], [], [], 0.03)[0])
+            caplog.clear()
+            with server.accept()[0] as other:
+                other.sendall(b"there")
+                until(lambda: got.append([*link.read()]) or got[-1])
+                link.write(b"here", [])
+                assert got[-1] == [((), b"there")] and other.recv(4) == b"here"
+            until(lambda: [*link.read()] or "is lost" in caplog.text)
+        link.close()
+    with pytest.raises(ParameterError, match="is not HOST:PORT"):
+        links.open_link("tcp:here")
+
+
 def test_the_socket_that_listens_answers_who_sends():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         other.settimeout(SOON_S)
         port = free_port()
-        link = links.open_link(f"udpin://127.0.0.1:{port}")
+        link = links.open_link(f"udpin://{port}")  # of this machine alone
+        assert link._socket.getsockname() == ("127.0.0.1", port)
         link.write(b"nobody is there yet", [])
         assert [*link.read()] == []
         other.sendto(b"here", ("127.0.0.1", port))
@@ -856,6 +1084,10 @@ def test_the_modes_that_brake_are_names():
     for text, why in (("GUIDET", "no mode 'GUIDET'. Did you mean GUIDED"), ("4,", "no mode ''")):
         with pytest.raises(ParameterError, match=why):
             known_modes(text)
+    with pytest.raises(
+        ParameterError, match=r"GUIDED does not brake\. Choose from BRAKE, HOLD, LOIT"
+    ):
+        braking_modes("BRAKE,GUIDED")
     with pytest.raises(ParameterError, match="17 is no name"):
         braking_modes("BRAKE,17")
     with pytest.raises(ParameterError, match=r"no mode 'BRAKES'\. Did you mean BRAKE\?"):
