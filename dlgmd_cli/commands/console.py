@@ -8,7 +8,7 @@ import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -262,6 +262,15 @@ class Command(_WithSections):
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
+
+
+def refuse_given(names: Collection[str], why: str) -> None:
+    """Raise UsageError if one of the arguments `names` is given as an option, and why not."""
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{max(parameter.opts, key=len)} {why}. Leave it out.")
 
 
 def is_path(word: str) -> bool:

@@ -113,6 +113,7 @@ def layers(
         hint = "Give the frames by name: layers(video, 9, frames=[50, 65])."
         raise ParameterError("", "the second argument is one model", hint)
     request = call.fold(model, formulation, param, options, video)
+    call.require_measured(request.setups, options)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats, store.LAYERS)

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of
 from dlgmd_cli.results.outcome import Outcome
@@ -64,6 +65,8 @@ def synth(
     >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
     >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     """
+    if not options.get("noise"):
+        refuse({"seed": options.get("seed")}, f"works only with {argument('noise')}")
     stimulus = find_scene(scene).configured(_of_scene(options))
     truth = table_of(Truth._fields, stimulus.truth())
     clip = RenderedClip(stimulus.name, stimulus.fps, truth)

@@ -12,7 +12,7 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError, SourceError, argument, counted
 from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, SourceInfo, Unreadable, plausible_fps
-from dlgmd_cli.video.images import image_of
+from dlgmd_cli.video.images import image_of, of_depth
 from dlgmd_cli.video.timestamps import steady_fps
 
 NAME = "rosbags"
@@ -102,7 +102,8 @@ class BagDecoder:
             self._connections = known[topic].connections
             if next(self.stamps(), None) is None:
                 raise Unreadable("no message could be read, the file is damaged")
-            height, width = decoded(self._message).shape[:2]
+            first = decoded(self._message)
+            (height, width), self.uses = first.shape[:2], ("topic", *of_depth(first))
             stamps = list(islice(self.stamps(), _N_FIRST))
             fps = steady_fps(stamps)
             if fps is None and stamps[-1] > stamps[0]:

@@ -43,6 +43,7 @@ class _Series:
 
     is_damaged = False
     takes_every_frame = True
+    uses: tuple[str, ...] = ()
 
     def __init__(self, images: Iterable[Any], fps: float) -> None:
         self._images, self._fps, self._index = images, fps, 0
@@ -81,6 +82,7 @@ class ImageDecoder(_Series):
         kind = paths[0].suffix[1:].lower()
         self._places = numbered_places(paths)
         height, width = first.shape[:2]
+        self.uses = of_depth(first)
         self.info = SourceInfo(width, height, fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
@@ -99,6 +101,11 @@ class ImageDecoder(_Series):
             expected = f"{self.info.width}x{self.info.height}"
             raise Unreadable(f"{self._latest.name} is {width}x{height}, not {expected}")
         return image, None
+
+
+def of_depth(image: Image) -> tuple[str, ...]:
+    """The options for samples of this type: those of 16 bits may have fewer."""
+    return ("bit_depth",) if image.dtype == np.uint16 else ()
 
 
 def read_image(path: Path) -> Image:
@@ -230,7 +237,8 @@ class ArrayDecoder(_Series):
             raise SourceError(name, "holds no frames", "An iterator can be read only once.")
         super().__init__(itertools.chain([first], iterator), fps)
         self._latest = first
-        height, width = self._checked().shape[:2]
+        first = self._checked()
+        (height, width), self.uses = first.shape[:2], of_depth(first)
         # All images of an integer array have one type: only lists and floats can go wrong later.
         is_whole = isinstance(images, list | tuple) or self._kind.startswith("float")
         if is_whole and isinstance(images, np.ndarray | list | tuple):

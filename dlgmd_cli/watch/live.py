@@ -31,8 +31,11 @@ from dlgmd_cli.watch.watch import OUTPUT_LOST, Answer, SourceState, Watch
 
 # The speed of --speed-m-s that the autopilot reports.
 AUTOPILOT = "autopilot"
-# The options of a stop.
+# The options of a stop, of an autopilot, and of a recording.
 _STOP = ("react", "brake", "tilt", "jerk")
+_OF_MAVLINK = ("mavlink_signing", "mavlink_system", "mavlink_component")
+_OF_RECORD = ("keep_video", "keep_last", "overwrite")
+_PIPE = "Write - as the source."
 
 
 @dataclass(frozen=True)
@@ -108,11 +111,10 @@ class LiveOptions:
                 (name, "mavlink_brake", brakes, "")
                 for name in ("mavlink_modes", "mavlink_brake_mode")
             ),
-            ("mavlink_signing", "mavlink", self.mavlink, ""),
-            ("keep_video", "record", self.record, ""),
-            ("keep_last", "record", self.record, ""),
+            *((name, "mavlink", self.mavlink, "") for name in _OF_MAVLINK),
+            *((name, "record", self.record, "") for name in _OF_RECORD),
             ("loop", "realtime", self.realtime, ""),
-            ("lockstep", "a pipe", source == "-", "Write - as the source."),
+            *((name, "a pipe", source == "-", _PIPE) for name in ("lockstep", "pixel_format")),
             ("input_fps", "lockstep", self.lockstep, ""),
             *((name, "speed_m_s", self.speed_m_s, "") for name in _STOP),
         )

@@ -154,6 +154,7 @@ def batch(
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     listing = _find([os.fspath(root) for root in roots], outs, exclude)
+    request = request.for_any_of(video.path for video in listing.videos)
     if clips is not None:
         store.require_local(clips, "clips")
         clips = os.path.abspath(clips)
@@ -192,7 +193,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."
             raise errors.ParameterError(setup.config.name, why, hint)
-    return Request(tuple(setups), every[0])
+    return Request(tuple(setups), every[0], call.conditional(given))
 
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, counted
+from dlgmd_cli.errors import DlgmdError, ParameterError, argument, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
-from dlgmd_cli.models.stopping import brakes_of, speed_of
+from dlgmd_cli.models.stopping import Brakes, brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite
 from dlgmd_cli.results import scoring, store, tradeoff
@@ -137,6 +137,10 @@ def evaluate(
         refuse({**given, **options}, "does not work with results, which are there already")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
+    has_speed = speed is not None or any(one.speed_m_s for case in cases for one in case.labels)
+    if brakes != Brakes() and not has_speed:
+        why = "the options of a stop have no effect: no contact has a speed"
+        raise ParameterError("", why, f"Add {argument('speed_m_s')}, or a column speed_m_s.")
     with ExitStack() as opened:
         if out is not None:
             names = Evaluation.own_files(formats)
@@ -147,6 +151,7 @@ def evaluate(
         else:
             param = call.with_rule(param, options.pop("alarm", None))
             request = call.fold(model, formulation, param, options)
+            request = request.for_any_of(case.path for case in cases)
             setups = call.with_folder_labels(call.with_keys(request.setups, param))
             for setup in setups:
                 create_model(setup.params)  # raises now if a custom model cannot be created

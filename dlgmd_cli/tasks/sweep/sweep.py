@@ -149,6 +149,7 @@ def sweep(
         of_fig_11 = call.choose(call.DLGMD, {**FIG_11, **(param or {})}, formulation)
         model = replace(of_fig_11, label="Fig. 11")
     request = call.fold(model, formulation, param, options, video).by_spikes()
+    call.require_measured(request.setups, options)
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), param or {}, formulation)
     with ExitStack() as opened:
