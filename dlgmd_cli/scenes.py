@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypedDict, TypeVar
 
 import numpy as np
 
@@ -50,6 +50,22 @@ class Truth(NamedTuple):
     angular_size_deg: float
     angular_velocity_deg_s: float
     time_to_contact_s: float
+
+
+class SceneArguments(TypedDict, total=False):
+    """The options of the scenes as arguments of a function."""
+
+    size: str | Sequence[int] | None
+    fps: float | None
+    frames: int | None
+    fov: float | None
+    speed: float | Sequence[float] | None
+    distance: float | None
+    object_size: float | None
+    contrast: float | None
+    background: float | None
+    noise: float | None
+    seed: int | None
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
 from dlgmd_cli.video.base import parse_crop, parse_size
-from dlgmd_cli.video.input_options import SPECS
+from dlgmd_cli.video.input_options import SPECS, parse_time
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup
@@ -410,17 +410,6 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 # How the input is read.
 
 
-def _time(text: str) -> float:
-    """`00:01:30.250` -> 90.25."""
-    clock = r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)"
-    match = re.fullmatch(clock, text.strip(), re.ASCII)
-    if match is None or (match[2] and float(match[3]) >= 60.0):
-        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
-    hours, minutes, seconds = (float(part or 0) for part in match.groups())
-    time_s: float = SPECS["start"].check(hours * 3600 + minutes * 60 + seconds)
-    return time_s
-
-
 def _choice(name: str) -> click.Choice[str]:
     return click.Choice([*SPECS[name].choices])
 
@@ -437,8 +426,8 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "taking every k-th frame; frames keep their times.  [default: the model's model_fps, "
         f"{presets.DEFAULT_MODEL_FPS:g}, for videos; all for images. With several models, the "
         "highest model_fps is used for all.]"),
-    "start": (Parsed("TIME", _time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
-    "end": (Parsed("TIME", _time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
+    "start": (Parsed("TIME", parse_time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
+    "end": (Parsed("TIME", parse_time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
     "crop": (Parsed("WxH+X+Y", parse_crop), "WxH+X+Y", "Use only this part of the image; X and Y "
         "are its upper left corner in px."),
     "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "

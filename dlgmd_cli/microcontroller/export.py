@@ -105,7 +105,7 @@ def export(
     >>> export(9, "firmware", size="160x120").costs["ram_bytes"]  # doctest: +SKIP
     69180
     """
-    size_wh = parse_size(size) if isinstance(size, str) else size
+    size_wh = parse_size(size)
     if model is None and size_wh[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
         model = PRESETS[-1]
     setup = choose(model, with_rule(param, alarm))

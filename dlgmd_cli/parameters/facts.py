@@ -6,7 +6,8 @@ parameters of the model, which the model's parameter class checks.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from inspect import Parameter, signature
 from types import UnionType
 from typing import (
     Any,
@@ -224,3 +225,31 @@ def part_of(facts: Mapping[str, object], kind: type[KindT]) -> KindT:
     """The entries of a record whose keys the class `kind` names."""
     known = get_type_hints(kind)
     return cast(KindT, {key: value for key, value in facts.items() if key in known})
+
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+
+def stating(arguments: Any) -> Callable[[FunctionT], FunctionT]:
+    """A decorator: the signature names the arguments that a function takes by two asterisks.
+
+    `arguments` is a TypedDict or a mapping, name -> type, all None by default; or a dataclass or a
+    function, whose arguments by name are meant.
+    """
+    types = arguments.__annotations__ if is_typeddict(arguments) else arguments
+    kind = Parameter.KEYWORD_ONLY
+
+    def decorate(function: FunctionT) -> FunctionT:
+        stated = signature(function)
+        own = {p.name: p for p in stated.parameters.values() if p.kind is not p.VAR_KEYWORD}
+        if isinstance(types, Mapping):
+            more = [Parameter(name, kind, default=None, annotation=types[name]) for name in types]
+        else:
+            known = signature(types).parameters.values()
+            of_name = [p for p in known if p.kind is kind or isinstance(types, type)]
+            more = [one.replace(kind=kind) for one in of_name]
+        every = [*own.values(), *(one for one in more if one.name not in own)]
+        function.__signature__ = stated.replace(parameters=every)  # type: ignore[attr-defined]
+        return function
+
+    return decorate

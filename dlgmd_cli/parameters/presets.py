@@ -23,7 +23,7 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import Named, Value, of_another_schema, part_of
+from dlgmd_cli.parameters.facts import Named, Value, of_another_schema, part_of, stating
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -328,7 +328,11 @@ class Config:
         return Path(self.name).stem or str(self.model).rpartition(":")[2]
 
 
-def config_of(model: Any = None) -> Config:
+# A model, by anything that `config_of` accepts.
+ModelName = int | str | os.PathLike[str] | type | Parameters | Config
+
+
+def config_of(model: ModelName | None = None) -> Config:
     """The configuration of a model, however the model is named.
 
     Parameters
@@ -357,7 +361,7 @@ def config_of(model: Any = None) -> Config:
         is_dlgmd = name == DlgmdParameters.model
         return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
     if option == "model":
-        found = find_model(model)
+        found = find_model(model if isinstance(model, type) else name)
         return Config("", found.model, kind=found)
     if option == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # raises if the file is missing, or not a file
@@ -414,6 +418,7 @@ def load_model_preset(stem: str) -> Config:
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
+@stating({name: spec.kind for name, spec in DlgmdParameters.specs().items()})
 def load_set(name: str | int, **overrides: Value) -> DlgmdParameters:
     """The paper's parameter set `name`, 1 to 9, with single keys overridden.
 

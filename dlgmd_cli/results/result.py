@@ -21,9 +21,10 @@ from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.columns import ALARMS
 from dlgmd_cli.models.rules import Rule, rule_of, too_slow
-from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
+from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json, stating
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
+from dlgmd_cli.results.annotations import PlotArguments
 from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -32,6 +33,7 @@ from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from typing_extensions import Unpack
 
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
@@ -448,7 +450,10 @@ class Result(Outcome):
         """The identity of the input, from the record."""
         return self.record.get("input", {})
 
-    def plot(self, kind: str | None = "mp", **options: Any) -> "Figure":
+    @stating(PlotArguments)
+    def plot(  # type: ignore[override]
+        self, kind: str | None = "mp", **options: "Unpack[PlotArguments]"
+    ) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.
 
         `options` are as in `dlgmd_cli.plot`: ``ax``, ``mark``, ``collision_frame`` and others.
@@ -458,7 +463,8 @@ class Result(Outcome):
             return self.figure(kind, **options)
         return super().plot(kind, **options)
 
-    def figure(self, kind: str, **options: Any) -> "Figure":
+    @stating(PlotArguments)
+    def figure(self, kind: str, **options: "Unpack[PlotArguments]") -> "Figure":  # type: ignore[override]
         """Draw a kind of figure, or a column."""
         return drawn_by("traces.plot")(kind, {self.title: self}, **options)
 

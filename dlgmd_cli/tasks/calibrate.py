@@ -12,7 +12,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from dlgmd_cli.errors import (
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
 from dlgmd_cli.parameters.checks import Spec, refuse
-from dlgmd_cli.parameters.facts import Json, Value, finite, for_json
+from dlgmd_cli.parameters.facts import Json, Value, finite, for_json, stating
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
@@ -42,6 +42,7 @@ from dlgmd_cli.tasks.call import (
     ModelName,
     Progress,
     Request,
+    RuleArguments,
     Setup,
     fold,
     no_progress,
@@ -50,6 +51,9 @@ from dlgmd_cli.tasks.call import (
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
 from dlgmd_cli.tasks.evaluate.tables import false_text, hits_text
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 # The seed of the split into folds.
 _SEED = 0
@@ -75,6 +79,7 @@ class Choice(NamedTuple):
 Choices = tuple[Choice, ...]
 
 
+@stating(RuleArguments)
 def calibrate(
     labels: str | os.PathLike[str],
     model: ModelName | None = None,
@@ -89,7 +94,7 @@ def calibrate(
     formats: Iterable[str] = (),
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RuleArguments],
 ) -> Calibration:
     """Find the threshold with the highest recall of contacts, as `dlgmd calibrate` does.
 

@@ -13,7 +13,7 @@ from typing import Any
 from dlgmd_cli.errors import DlgmdError, ParameterError, argument, counted, warn
 from dlgmd_cli.models import stopping
 from dlgmd_cli.models.own_rules import own_rule
-from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import in_argument, refuse
 from dlgmd_cli.parameters.facts import Record, Value, extended
@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
-from dlgmd_cli.video.input_options import CHECKS, InputOptions
+from dlgmd_cli.video.input_options import CHECKS, InputArguments, InputOptions
 from dlgmd_cli.video.opening import (
     ONLY_FOR,
     Openable,
@@ -43,6 +43,19 @@ OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback, which takes the number done
 # and, optionally, a new name.
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
+
+
+class RuleArguments(InputArguments, total=False):
+    """The options of an input and of the alarm's rule, as arguments of a function."""
+
+    alarm: str | type[Rule] | None
+    threshold: float | None
+
+
+class RunArguments(RuleArguments, total=False):
+    """The options of a run as arguments of a function."""
+
+    speed_m_s: float | str | None
 
 
 @dataclass(frozen=True)
@@ -147,7 +160,7 @@ class Request:
 
 
 # A model, by anything that `config_of` accepts, or a setup that was chosen before.
-ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
+ModelName = presets.ModelName | Setup
 # Several models.
 ModelNames = list[ModelName] | tuple[ModelName, ...]
 

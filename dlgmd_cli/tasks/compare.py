@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.parameters.checks import require_known
@@ -19,6 +19,7 @@ from dlgmd_cli.parameters.facts import (
     Value,
     defined,
     for_json,
+    stating,
 )
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, Annotations
@@ -30,9 +31,12 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import model_entry, record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Setup, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, RunArguments, Setup, no_progress
 from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 # The models with which the default is compared.
 COMPARED_MODELS = ("lgmd", "emd-lgmd")
@@ -193,6 +197,7 @@ class Comparison(Outcome):
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
 
+@stating(RunArguments)
 def compare(
     video: Openable,
     model: ModelName | ModelNames | None = None,
@@ -212,7 +217,7 @@ def compare(
     one_panel: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RunArguments],
 ) -> Comparison:
     """Run several models over a video, as `dlgmd compare` does.
 

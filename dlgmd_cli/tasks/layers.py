@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.parameters.facts import InputFacts, Value
+from dlgmd_cli.parameters.facts import InputFacts, Value, stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.files import LAYER_ARRAYS
@@ -28,12 +28,15 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, stepping
-from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
+from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, RunArguments, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.tasks.describing import build_result, doubts_of, identified
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 # Greatest number of frames that are readable at the width of two columns of a paper.
 MAX_SHOWN_FRAMES = 12
@@ -46,6 +49,7 @@ _COMING_BACK = 5
 Range = tuple[float, float]
 
 
+@stating(RunArguments)
 def layers(
     video: Openable,
     model: ModelName | None = None,
@@ -63,7 +67,7 @@ def layers(
     overlay: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RunArguments],
 ) -> LayerResult:
     """Run a model for its layers: photoreceptors P, summation S and grouping G.
 

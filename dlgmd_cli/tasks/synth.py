@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,17 +18,22 @@ from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import refuse
+from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.scenes import Scene, Truth, find_scene, invalid
+from dlgmd_cli.scenes import Scene, SceneArguments, Truth, find_scene, invalid
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 _log = logging.getLogger(__name__)
 
 
+@stating(SceneArguments)
 def synth(
     scene: str,
     out: str | os.PathLike[str] | None = None,
@@ -36,7 +41,7 @@ def synth(
     lossless: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[SceneArguments],
 ) -> RenderedClip:
     """Render a plain stimulus with its ground truth, as `dlgmd synth` does.
 
@@ -129,8 +134,7 @@ def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are set, in the form for scenes: sizes are (H, W)."""
     given = {name: value for name, value in options.items() if value not in (None, ())}
     if "size" in given:
-        size_wh = given["size"]
-        given["size"] = (parse_size(size_wh) if isinstance(size_wh, str) else size_wh)[::-1]
+        given["size"] = parse_size(given["size"])[::-1]
     return given
 
 

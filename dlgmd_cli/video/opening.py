@@ -40,7 +40,7 @@ from dlgmd_cli.video.images import (
     load_array,
     pictures_at,
 )
-from dlgmd_cli.video.input_options import SPECS, InputOptions
+from dlgmd_cli.video.input_options import SPECS, InputOptions, parse_time
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
 from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
@@ -78,10 +78,10 @@ def open_video(
     path: Openable,
     *,
     scale: float | None = None,
-    size_wh: tuple[int, int] | None = None,
+    size_wh: tuple[int, int] | str | None = None,
     width_px: int = DEFAULT_WIDTH_PX,
-    start_s: float = 0.0,
-    end_s: float = math.inf,
+    start_s: float | str = 0.0,
+    end_s: float | str = math.inf,
     max_fps: float | None = None,
     model_fps: float | None = None,
     repeats: str | None = "keep",
@@ -161,8 +161,10 @@ def open_video(
     MissingExtraError
         If the input needs PyAV, which is not installed.
     """
-    if isinstance(crop, str):
-        crop = base.parse_crop(crop)
+    crop = None if crop is None else base.parse_crop(crop)
+    size_wh = None if size_wh is None else base.parse_size(size_wh)
+    start_s = start_s if start_s == 0.0 else parse_time(start_s)
+    end_s = end_s if end_s == math.inf else parse_time(end_s)
     masked = None if mask is None else read_mask(os.fspath(mask))
     Selection(start_s, end_s)  # raises before the input is opened
     if max_fps is not None and not max_fps > 0.0:

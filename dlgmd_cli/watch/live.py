@@ -2,18 +2,19 @@
 
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 from dlgmd_cli import Alarm, Rule
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
-from dlgmd_cli.parameters.facts import Json, Value, finite
+from dlgmd_cli.parameters.checks import refuse
+from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
@@ -36,6 +37,20 @@ _STOP = ("react", "brake", "tilt", "jerk")
 _OF_MAVLINK = ("mavlink_signing", "mavlink_system", "mavlink_component")
 _OF_RECORD = ("keep_video", "keep_last", "overwrite")
 _PIPE = "Write - as the source."
+
+
+class LiveArguments(TypedDict, total=False):
+    """The options of a live input and its rule as arguments of a function."""
+
+    size: str | Sequence[int] | None
+    scale: float | None
+    fps: float | str | None
+    crop: str | Sequence[int] | None
+    mask: str | os.PathLike[str] | None
+    repeats: Literal["skip", "keep"] | None
+    fov: float | None
+    camera_tilt: float | None
+    alarm: str | type[Rule] | None
 
 
 @dataclass(frozen=True)
@@ -206,8 +221,10 @@ class Watching:
     page_url: str = ""
 
 
+@stating(LiveArguments)
+@stating(LiveOptions)
 def live(
-    source: str,
+    source: int | str,
     model: ModelName | None = None,
     *,
     on_answer: Callable[[Answer], object] | None = None,
@@ -251,9 +268,12 @@ def live(
     --------
     >>> live("0", 9, serve="8000", on_answer=print)  # doctest: +SKIP
     """
-    own = {one.name for one in fields(LiveOptions)}
+    source, own = str(source), {one.name for one in fields(LiveOptions)}
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
+    if not chosen.realtime:
+        others = {name: options[name] for name in options.keys() - LiveArguments.__annotations__}
+        refuse(others, f"works only with {argument('realtime')}, which plays a file")
     request = fold(model, None, param, {**options, "threshold": chosen.threshold})
     setup, threshold_at = _at_speed(request.setup, chosen)
     frames, reports = _source(source, setup, request.options, chosen), Reports()

@@ -23,7 +23,7 @@ from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.checks import refuse
-from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.facts import Json, Value, stating
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import Cell, Cells
 from dlgmd_cli.results.names import frames_text
@@ -41,10 +41,20 @@ from dlgmd_cli.tasks.batch.video import (
     error_row,
     run_video,
 )
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Place, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import (
+    ModelName,
+    ModelNames,
+    Place,
+    Progress,
+    Request,
+    RuleArguments,
+    Setup,
+    no_progress,
+)
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
     from upath import UPath
 
 _log = logging.getLogger(__name__)
@@ -63,6 +73,7 @@ _MAX_ROWS = 60
 _READERS = 8
 
 
+@stating(RuleArguments)
 def batch(
     folders: Place | Iterable[Place],
     model: ModelName | ModelNames | None = None,
@@ -81,7 +92,7 @@ def batch(
     timeout: float | None = None,
     scheduler: str | None = None,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RuleArguments],
 ) -> Batch:
     """Run models over every video in folders, as `dlgmd batch` does.
 

@@ -18,7 +18,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
 from dlgmd_cli.models.stopping import Brakes, brakes_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
-from dlgmd_cli.parameters.facts import Json, Value, finite
+from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
@@ -28,7 +28,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.scoring import OUTCOMES, Differences, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
+from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, RuleArguments, no_progress
 from dlgmd_cli.tasks.evaluate import tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
@@ -44,6 +44,7 @@ from dlgmd_cli.tasks.evaluate.tables import BEST, DEFAULT, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from typing_extensions import Unpack
 
 # The columns that say which model, threshold and group a row of scores belongs to.
 _WORDS = ("model", "at", *GROUPED)
@@ -52,6 +53,7 @@ _MIN_CONTACTS = 10
 _RATE = Spec(float, 0, math.inf)
 
 
+@stating(RuleArguments)
 def evaluate(
     labels: str | os.PathLike[str],
     model: ModelName | ModelNames | None = None,
@@ -73,7 +75,7 @@ def evaluate(
     width: Literal["one", "two"] = "one",
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RuleArguments],
 ) -> Evaluation:
     """Score alarms against labelled contacts; `dlgmd evaluate --help` has the rules.
 

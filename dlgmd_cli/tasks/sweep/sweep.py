@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from dlgmd_cli.parameters.facts import (
     Value,
     extended,
     flat,
+    stating,
 )
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
@@ -46,14 +47,17 @@ from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, RunArguments, no_progress
 from dlgmd_cli.tasks.describing import identified, input_record
 from dlgmd_cli.tasks.stepping import too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
-from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.input_options import InputArguments, InputOptions
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import KeptFrames, Video, read_ahead
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 # The measures: attenuation of cubes, then responses to a video.
 _FURTHER = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
@@ -73,6 +77,7 @@ Point = tuple[int, Parameters]
 PointValues = list[tuple[float, ...]]
 
 
+@stating(InputArguments)
 def sweep(
     video: Openable | None = None,
     model: ModelName | None = None,
@@ -92,7 +97,7 @@ def sweep(
     width: Literal["one", "two"] = "one",
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Any,
+    **options: Unpack[RunArguments],
 ) -> SweepResult:
     """Run a model over a grid of values of two parameters, as `dlgmd sweep` does.
 
@@ -137,7 +142,7 @@ def sweep(
     (4, 6, 10)
     """
     speeds_px = tuple(dict.fromkeys(speed))
-    others = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
+    others: dict[str, object] = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
     if video is None:
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
     refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
@@ -182,6 +187,7 @@ def sweep(
     return result
 
 
+@stating(sweep)
 def sweeps(
     videos: Sequence[str | os.PathLike[str]],
     model: ModelName | None = None,
