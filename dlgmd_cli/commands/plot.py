@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, is_path, show
+from dlgmd_cli.commands.console import Command, show
+from dlgmd_cli.commands.mending import call, is_there
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.files import FIGURE_FORMATS
@@ -113,14 +114,14 @@ class _Plot(Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; the error names KIND if a result stands in its place."""
-        try:
-            return super().parse_args(ctx, args)
-        except click.MissingParameter:
-            kind = str(ctx.params.get("kind"))
-            if kind in KINDS or not is_path(kind):
-                raise
-            why = f"KIND is missing. Did you mean 'dlgmd plot overview {printable(kind)}'?"
-            raise click.UsageError(why, ctx) from None
+        given = list(args)
+        rest = super().parse_args(ctx, args)
+        kind, paths = str(ctx.params["kind"]), [*map(str, ctx.params["paths"])]
+        if kind not in KINDS and is_there(kind) and (kinds := {*paths} & {*KINDS}):
+            first = kinds.pop()
+            others = [word for word in given if word != first]
+            raise click.UsageError(f"KIND comes first. {call(ctx, [first, *others])}", ctx)
+        return rest
 
 
 @click.command(cls=_Plot, short_help="Draw stored results.")

@@ -47,7 +47,10 @@ SMALL_WIDTH_PX = 128
 # Frame width (px) and rate (frames/s) that parameters are designed for, if their file states none.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The angles of a camera, in degrees.
-ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}
+ANGLES = {
+    "fov": Spec(float, 1, 170, unit="degrees"),
+    "camera_tilt": Spec(float, -45, 45, unit="degrees"),
+}
 # The keys of a configuration file that are not parameters.
 DESCRIBING = {
     "model": Spec(str),
@@ -404,13 +407,18 @@ def load_preset(name: str | int) -> Config:
     """The paper's set `name`, 1 to 9 or set1 to set9, or a preset; raises ParameterError."""
     if name in PRESETS:
         return replace(load_model_preset(str(name)), named={"preset": str(name)})
-    names = preset_names()
+    require_preset(str(name))
     number = str(name).removeprefix("set")
-    if number not in names:
-        why = f"there is no set {str(name)[:40]}"
-        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
-        raise ParameterError("", why, f"{did_you_mean(str(name), PRESETS)}{choices}")
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
+
+
+def require_preset(name: str) -> None:
+    """Raise ParameterError unless there is a set or a preset of this name."""
+    names = preset_names()
+    if name not in PRESETS and name.removeprefix("set") not in names:
+        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
+        hint = f"{did_you_mean(name, PRESETS)}{choices}"
+        raise ParameterError("", f"there is no set {name[:40]}", hint)
 
 
 def load_model_preset(stem: str) -> Config:
