@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
-from typing import Any, Literal, NamedTuple, TypedDict, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -52,22 +52,6 @@ class Truth(NamedTuple):
     time_to_contact_s: float
 
 
-class SceneArguments(TypedDict, total=False):
-    """The options of the scenes as arguments of a function."""
-
-    size: str | Sequence[int] | None
-    fps: float | None
-    frames: int | None
-    fov: float | None
-    speed: float | Sequence[float] | None
-    distance: float | None
-    object_size: float | None
-    contrast: float | None
-    background: float | None
-    noise: float | None
-    seed: int | None
-
-
 @dataclass(frozen=True)
 class Scene(ABC):
     """A stimulus that can be rendered; its options are checked on construction.
@@ -96,7 +80,7 @@ class Scene(ABC):
     noise: float = option(0.0, "noise", 0, 1)
 
     def __post_init__(self) -> None:
-        for name, each in self._options().items():
+        for name, each in self.options().items():
             value, spec = getattr(self, each.name), each.metadata["spec"]
             is_tuple = isinstance(each.default, tuple)
             values = tuple(value) if isinstance(value, tuple | list) else (value,)
@@ -120,7 +104,7 @@ class Scene(ABC):
         self.n_frames()
 
     @classmethod
-    def _options(cls) -> dict[str, Field[Any]]:
+    def options(cls) -> dict[str, Field[Any]]:
         """Name of the argument -> field."""
         return {each.metadata["name"]: each for each in fields(cls) if each.metadata}
 
@@ -130,7 +114,7 @@ class Scene(ABC):
         Raises ParameterError if the scene lacks an option, or cannot be rendered with these
         values.
         """
-        options = self._options()
+        options = self.options()
         for name in given:
             if name not in options:
                 hint = f"It takes {', '.join(map(argument, options))}."

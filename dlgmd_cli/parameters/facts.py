@@ -233,21 +233,22 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 def stating(arguments: Any) -> Callable[[FunctionT], FunctionT]:
     """A decorator: the signature names the arguments that a function takes by two asterisks.
 
-    `arguments` is a TypedDict or a mapping, name -> type, all None by default; or a dataclass or a
-    function, whose arguments by name are meant.
+    `arguments` is a mapping, name -> type, all None by default; or a dataclass or a function, whose
+    arguments by name are meant.
     """
-    types = arguments.__annotations__ if is_typeddict(arguments) else arguments
     kind = Parameter.KEYWORD_ONLY
+    if isinstance(arguments, Mapping):
+        more = [
+            Parameter(name, kind, default=None, annotation=of) for name, of in arguments.items()
+        ]
+    else:
+        known = signature(arguments).parameters.values()
+        meant = [one for one in known if isinstance(arguments, type) or one.kind is kind]
+        more = [one.replace(kind=kind) for one in meant]
 
     def decorate(function: FunctionT) -> FunctionT:
         stated = signature(function)
         own = {p.name: p for p in stated.parameters.values() if p.kind is not p.VAR_KEYWORD}
-        if isinstance(types, Mapping):
-            more = [Parameter(name, kind, default=None, annotation=types[name]) for name in types]
-        else:
-            known = signature(types).parameters.values()
-            of_name = [p for p in known if p.kind is kind or isinstance(types, type)]
-            more = [one.replace(kind=kind) for one in of_name]
         every = [*own.values(), *(one for one in more if one.name not in own)]
         function.__signature__ = stated.replace(parameters=every)  # type: ignore[attr-defined]
         return function

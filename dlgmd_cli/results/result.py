@@ -24,7 +24,7 @@ from dlgmd_cli.models.rules import Rule, rule_of, too_slow
 from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json, stating
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
-from dlgmd_cli.results.annotations import PlotArguments
+from dlgmd_cli.results.annotations import PLOT_ARGUMENTS
 from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -33,7 +33,6 @@ from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from typing_extensions import Unpack
 
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
@@ -450,10 +449,8 @@ class Result(Outcome):
         """The identity of the input, from the record."""
         return self.record.get("input", {})
 
-    @stating(PlotArguments)
-    def plot(  # type: ignore[override]
-        self, kind: str | None = "mp", **options: "Unpack[PlotArguments]"
-    ) -> "Figure":
+    @stating(PLOT_ARGUMENTS)
+    def plot(self, kind: str | None = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.
 
         `options` are as in `dlgmd_cli.plot`: ``ax``, ``mark``, ``collision_frame`` and others.
@@ -463,8 +460,8 @@ class Result(Outcome):
             return self.figure(kind, **options)
         return super().plot(kind, **options)
 
-    @stating(PlotArguments)
-    def figure(self, kind: str, **options: "Unpack[PlotArguments]") -> "Figure":  # type: ignore[override]
+    @stating(PLOT_ARGUMENTS)
+    def figure(self, kind: str, **options: Any) -> "Figure":
         """Draw a kind of figure, or a column."""
         return drawn_by("traces.plot")(kind, {self.title: self}, **options)
 

@@ -12,7 +12,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,10 +39,10 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Differences, Scores, Signal, Tally
 from dlgmd_cli.tasks.call import (
+    RULE_ARGUMENTS,
     ModelName,
     Progress,
     Request,
-    RuleArguments,
     Setup,
     fold,
     no_progress,
@@ -51,9 +51,6 @@ from dlgmd_cli.tasks.call import (
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
 from dlgmd_cli.tasks.evaluate.tables import false_text, hits_text
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 # The seed of the split into folds.
 _SEED = 0
@@ -79,7 +76,7 @@ class Choice(NamedTuple):
 Choices = tuple[Choice, ...]
 
 
-@stating(RuleArguments)
+@stating(RULE_ARGUMENTS)
 def calibrate(
     labels: str | os.PathLike[str],
     model: ModelName | None = None,
@@ -94,7 +91,7 @@ def calibrate(
     formats: Iterable[str] = (),
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[RuleArguments],
+    **options: Any,
 ) -> Calibration:
     """Find the threshold with the highest recall of contacts, as `dlgmd calibrate` does.
 

@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
-from dlgmd_cli.video.input_options import CHECKS, InputArguments, InputOptions
+from dlgmd_cli.video.input_options import CHECKS, INPUT_ARGUMENTS, InputOptions
 from dlgmd_cli.video.opening import (
     ONLY_FOR,
     Openable,
@@ -45,17 +45,13 @@ OnFrame = Callable[[int], None]
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
 
-class RuleArguments(InputArguments, total=False):
-    """The options of an input and of the alarm's rule, as arguments of a function."""
-
-    alarm: str | type[Rule] | None
-    threshold: float | None
-
-
-class RunArguments(RuleArguments, total=False):
-    """The options of a run as arguments of a function."""
-
-    speed_m_s: float | str | None
+# Name -> type of the options of an input and of the rule, and of a run, as arguments.
+RULE_ARGUMENTS: dict[str, Any] = {
+    **INPUT_ARGUMENTS,
+    "alarm": str | type[Rule] | None,
+    "threshold": float | None,
+}
+RUN_ARGUMENTS: dict[str, Any] = {**RULE_ARGUMENTS, "speed_m_s": float | None}
 
 
 @dataclass(frozen=True)

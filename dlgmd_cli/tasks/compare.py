@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from dlgmd_cli.errors import counted
 from dlgmd_cli.parameters.checks import require_known
@@ -31,12 +31,9 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import model_entry, record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, RunArguments, Setup, no_progress
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS, ModelName, ModelNames, Progress, Setup, no_progress
 from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 # The models with which the default is compared.
 COMPARED_MODELS = ("lgmd", "emd-lgmd")
@@ -197,7 +194,7 @@ class Comparison(Outcome):
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
 
-@stating(RunArguments)
+@stating(RUN_ARGUMENTS)
 def compare(
     video: Openable,
     model: ModelName | ModelNames | None = None,
@@ -217,7 +214,7 @@ def compare(
     one_panel: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[RunArguments],
+    **options: Any,
 ) -> Comparison:
     """Run several models over a video, as `dlgmd compare` does.
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +28,12 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, stepping
-from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, RunArguments, no_progress
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS, ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.tasks.describing import build_result, doubts_of, identified
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 # Greatest number of frames that are readable at the width of two columns of a paper.
 MAX_SHOWN_FRAMES = 12
@@ -49,7 +46,7 @@ _COMING_BACK = 5
 Range = tuple[float, float]
 
 
-@stating(RunArguments)
+@stating(RUN_ARGUMENTS)
 def layers(
     video: Openable,
     model: ModelName | None = None,
@@ -67,7 +64,7 @@ def layers(
     overlay: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[RunArguments],
+    **options: Any,
 ) -> LayerResult:
     """Run a model for its layers: photoreceptors P, summation S and grouping G.
 

@@ -15,7 +15,7 @@ from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, w
 from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
-from dlgmd_cli.results.annotations import KINDS, NONE, Annotations, PlotArguments
+from dlgmd_cli.results.annotations import KINDS, NONE, PLOT_ARGUMENTS, Annotations
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.files import COMPARED, FIGURE_FORMATS
 from dlgmd_cli.results.labels import read_by_video
@@ -28,7 +28,6 @@ from dlgmd_cli.tasks.compare import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from typing_extensions import Unpack
 
 _log = logging.getLogger(__name__)
 
@@ -39,14 +38,14 @@ ALIGNED = "aligned.csv"
 _MAX_NAME = 100
 
 
-@stating(PlotArguments)
+@stating(PLOT_ARGUMENTS)
 def plot(
     results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
     kind: str = "mp",
     *,
     align: str | None = None,
     mean: bool = False,
-    **options: Unpack[PlotArguments],
+    **options: Any,
 ) -> Figure:
     """Draw results over time in one figure, as `dlgmd plot` does.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,18 +22,15 @@ from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.scenes import Scene, SceneArguments, Truth, find_scene, invalid
+from dlgmd_cli.scenes import SCENES, Scene, Truth, find_scene, invalid
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
 
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
 _log = logging.getLogger(__name__)
 
 
-@stating(SceneArguments)
+@stating({n: f.type for one in SCENES.values() for n, f in one.options().items()})
 def synth(
     scene: str,
     out: str | os.PathLike[str] | None = None,
@@ -41,7 +38,7 @@ def synth(
     lossless: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[SceneArguments],
+    **options: Any,
 ) -> RenderedClip:
     """Render a plain stimulus with its ground truth, as `dlgmd synth` does.
 

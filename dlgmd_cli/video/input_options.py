@@ -7,10 +7,10 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, argument, warn
 from dlgmd_cli.machine.files import open_regular
@@ -71,29 +71,6 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "heading": _path,
     "times": _path,
 }
-
-
-class InputArguments(TypedDict, total=False):
-    """The options of an input as arguments of a function."""
-
-    scale: float | None
-    size: str | Sequence[int] | None
-    fps: float | str | None
-    start: float | str | None
-    end: float | str | None
-    crop: str | Sequence[int] | None
-    mask: str | os.PathLike[str] | None
-    repeats: Literal["skip", "keep"] | None
-    input_fps: float | None
-    times: str | os.PathLike[str] | None
-    bit_depth: int | None
-    topic: str | None
-    decoder: Literal["opencv", "pyav"] | None
-    normalise: Literal["absolute", "sequence"] | None
-    fov: float | None
-    camera_tilt: float | None
-    heading: str | os.PathLike[str] | None
-    hashed: bool | None
 
 
 _TIMES_SUFFIX = ".times.csv"
@@ -201,6 +178,16 @@ class InputOptions:
         if self.crop is not None:
             values["crop"] = str(self.crop)
         return values
+
+
+# Name -> type of the options as arguments of a function.
+INPUT_ARGUMENTS: dict[str, Any] = {
+    **{option.name: option.type for option in fields(InputOptions) if option.name in CHECKS},
+    **dict.fromkeys(("start", "end"), float | str | None),
+    **dict.fromkeys(_FILES, str | os.PathLike[str] | None),
+    "size": str | tuple[int, int] | None,
+    "crop": str | tuple[int, int, int, int] | None,
+}
 
 
 def _digest(path: str | None) -> str | None:

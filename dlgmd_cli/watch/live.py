@@ -2,12 +2,12 @@
 
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any
 
 from dlgmd_cli import Alarm, Rule
 from dlgmd_cli.errors import ParameterError, SourceError, argument
@@ -16,7 +16,7 @@ from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.tasks.call import ModelName, Request, Setup, fold
+from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
 from dlgmd_cli.video.base import without_password
 from dlgmd_cli.video.input_options import InputOptions
@@ -39,18 +39,8 @@ _OF_RECORD = ("keep_video", "keep_last", "overwrite")
 _PIPE = "Write - as the source."
 
 
-class LiveArguments(TypedDict, total=False):
-    """The options of a live input and its rule as arguments of a function."""
-
-    size: str | Sequence[int] | None
-    scale: float | None
-    fps: float | str | None
-    crop: str | Sequence[int] | None
-    mask: str | os.PathLike[str] | None
-    repeats: Literal["skip", "keep"] | None
-    fov: float | None
-    camera_tilt: float | None
-    alarm: str | type[Rule] | None
+# The options of an input that apply to live ones; the others apply to files alone.
+_OF_INPUT = ["size", "scale", "fps", "crop", "mask", "repeats", "fov", "camera_tilt", "alarm"]
 
 
 @dataclass(frozen=True)
@@ -221,7 +211,7 @@ class Watching:
     page_url: str = ""
 
 
-@stating(LiveArguments)
+@stating({name: RULE_ARGUMENTS[name] for name in _OF_INPUT})
 @stating(LiveOptions)
 def live(
     source: int | str,
@@ -272,7 +262,7 @@ def live(
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
     if not chosen.realtime:
-        others = {name: options[name] for name in options.keys() - LiveArguments.__annotations__}
+        others = {name: options[name] for name in options.keys() - {*_OF_INPUT}}
         refuse(others, f"works only with {argument('realtime')}, which plays a file")
     request = fold(model, None, param, {**options, "threshold": chosen.threshold})
     setup, threshold_at = _at_speed(request.setup, chosen)

@@ -42,19 +42,18 @@ from dlgmd_cli.tasks.batch.video import (
     run_video,
 )
 from dlgmd_cli.tasks.call import (
+    RULE_ARGUMENTS,
     ModelName,
     ModelNames,
     Place,
     Progress,
     Request,
-    RuleArguments,
     Setup,
     no_progress,
 )
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
     from upath import UPath
 
 _log = logging.getLogger(__name__)
@@ -73,7 +72,7 @@ _MAX_ROWS = 60
 _READERS = 8
 
 
-@stating(RuleArguments)
+@stating(RULE_ARGUMENTS)
 def batch(
     folders: Place | Iterable[Place],
     model: ModelName | ModelNames | None = None,
@@ -92,7 +91,7 @@ def batch(
     timeout: float | None = None,
     scheduler: str | None = None,
     progress: Progress = no_progress,
-    **options: Unpack[RuleArguments],
+    **options: Any,
 ) -> Batch:
     """Run models over every video in folders, as `dlgmd batch` does.
 

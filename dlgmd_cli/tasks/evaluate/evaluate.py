@@ -28,7 +28,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.scoring import OUTCOMES, Differences, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, RuleArguments, no_progress
+from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.evaluate import tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
@@ -44,7 +44,6 @@ from dlgmd_cli.tasks.evaluate.tables import BEST, DEFAULT, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from typing_extensions import Unpack
 
 # The columns that say which model, threshold and group a row of scores belongs to.
 _WORDS = ("model", "at", *GROUPED)
@@ -53,7 +52,7 @@ _MIN_CONTACTS = 10
 _RATE = Spec(float, 0, math.inf)
 
 
-@stating(RuleArguments)
+@stating(RULE_ARGUMENTS)
 def evaluate(
     labels: str | os.PathLike[str],
     model: ModelName | ModelNames | None = None,
@@ -75,7 +74,7 @@ def evaluate(
     width: Literal["one", "two"] = "one",
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[RuleArguments],
+    **options: Any,
 ) -> Evaluation:
     """Score alarms against labelled contacts; `dlgmd evaluate --help` has the rules.
 

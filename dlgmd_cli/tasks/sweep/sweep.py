@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -47,17 +47,14 @@ from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.scenes import cube_clips
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, Progress, Request, RunArguments, no_progress
+from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.describing import identified, input_record
 from dlgmd_cli.tasks.stepping import too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
-from dlgmd_cli.video.input_options import InputArguments, InputOptions
+from dlgmd_cli.video.input_options import INPUT_ARGUMENTS, InputOptions
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import KeptFrames, Video, read_ahead
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 # The measures: attenuation of cubes, then responses to a video.
 _FURTHER = ("attenuation_frames", "median_attenuation_db", "pooled_attenuation_db")
@@ -77,7 +74,7 @@ Point = tuple[int, Parameters]
 PointValues = list[tuple[float, ...]]
 
 
-@stating(InputArguments)
+@stating(INPUT_ARGUMENTS)
 def sweep(
     video: Openable | None = None,
     model: ModelName | None = None,
@@ -97,7 +94,7 @@ def sweep(
     width: Literal["one", "two"] = "one",
     overwrite: bool = False,
     progress: Progress = no_progress,
-    **options: Unpack[RunArguments],
+    **options: Any,
 ) -> SweepResult:
     """Run a model over a grid of values of two parameters, as `dlgmd sweep` does.
 
