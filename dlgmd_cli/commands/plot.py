@@ -10,7 +10,6 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, show
-from dlgmd_cli.commands.mending import call, is_there
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.files import FIGURE_FORMATS
@@ -109,22 +108,7 @@ one_panel_option = click.option(
 )
 
 
-class _Plot(Command):
-    """`dlgmd plot`, whose first argument, KIND, is often forgotten."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; the error names KIND if a result stands in its place."""
-        given = list(args)
-        rest = super().parse_args(ctx, args)
-        kind, paths = str(ctx.params["kind"]), [*map(str, ctx.params["paths"])]
-        if kind not in KINDS and is_there(kind) and (kinds := {*paths} & {*KINDS}):
-            first = kinds.pop()
-            others = [word for word in given if word != first]
-            raise click.UsageError(f"KIND comes first. {call(ctx, [first, *others])}", ctx)
-        return rest
-
-
-@click.command(cls=_Plot, short_help="Draw stored results.")
+@click.command(cls=Command, short_help="Draw stored results.")
 @click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
 @options.results_argument
 @annotation_options
