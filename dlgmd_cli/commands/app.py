@@ -71,7 +71,7 @@ class LazyGroup(Group):
         name = click.utils.make_str(args[0])
         if name not in COMMANDS and self.get_command(ctx, name) is None:
             ctx.fail(f"no such command {name!r}. {meant_command(args, COMMANDS)}")
-        return super().resolve_command(ctx, args)
+        return click.Group.resolve_command(self, ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the general options, which may also follow the command."""

@@ -32,6 +32,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.checks import require_known
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -188,6 +189,14 @@ class _WithSections(click.Command):
 
 class Group(_WithSections, click.Group):
     """A group of commands."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; the error for an unknown name suggests a similar one."""
+        if self.get_command(ctx, args[0]) is None:
+            require_known("command", args[0], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
 
 
 class Command(_WithSections):

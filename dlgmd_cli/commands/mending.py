@@ -21,6 +21,8 @@ _FILES = ("INPUT", "INPUT...", "[INPUT]...", "FOLDER...", "LABELS.csv", "RESULT.
 _MAX_NAMES = 3
 # The option that takes the numbers that are given to another one.
 _OF_NUMBERS = {"--alarm": "--threshold", "--size": "--scale", "--model": "--set"}
+# The types of options whose values have a shape.
+_SHAPES = ("WxH", "WxH+X+Y", "FROM:TO")
 # Command -> words of other tools for it.
 _OTHER_WORDS = {
     "run": "analyze analyse process detect predict start test",
@@ -31,7 +33,7 @@ _OTHER_WORDS = {
     "evaluate": "score validate benchmark",
     "sets": "list ls models presets config",
     "calibrate": "train fit tune",
-    "--help": "help h man usage ?",
+    "--help": "help h man usage ? /?",
     "--version": "version v",
 }
 
@@ -84,18 +86,19 @@ def _dashed(match: re.Match[str]) -> str:
 def meant_command(words: Sequence[str], commands: Sequence[str]) -> str:
     """The call that is meant by words that do not begin with one of the commands."""
     first, *others = words
-    for_inputs = [*filter(None, map(_command_for, words))]
-    named = next((word for word in others if word in commands), "")
+    for_inputs = [_command_for(word) for word in words if word == first or not word.isdecimal()]
+    for_inputs = [*filter(None, for_inputs)]
+    named = next((word for word in (first.lstrip("-"), *others) if word in commands), "")
     if named and first in _OTHER_WORDS["--help"].split():
         return f"Did you mean 'dlgmd {named} --help'?"
     if named:
-        others = [word for word in words if word != named]
+        others = [word for word in words if word.lstrip("-") != named]
     elif for_inputs and (first.startswith("--") or _command_for(first)):
         named, others = for_inputs[0], [*words]
     else:
-        word = first.lstrip("-").lower()
-        known = (name for name, known in _OTHER_WORDS.items() if word in known.split())
-        named = next(known, nearest(word, commands) or "")
+        word = nearest(first.lstrip("-"), (*commands, "help", "version")) or first
+        known = (name for name, known in _OTHER_WORDS.items() if {word, first} & {*known.split()})
+        named = next(known, word if word in commands else "")
     others = [] if named.startswith("-") else others
     meant = f"Did you mean 'dlgmd {shlex.join([named, *others])}'?"
     return meant if named else "'dlgmd --help' lists the commands."
@@ -129,7 +132,7 @@ def mended(
             return call(ctx, [f"./{one}" if one == word else one for one in words])
     if isinstance(error, click.NoSuchOption):
         return _of_option(ctx, words, error.option_name)
-    if isinstance(error, click.MissingParameter):
+    if isinstance(error, click.MissingParameter) and "Choose" not in error.format_message():
         if is_path(kind := str(ctx.params.get("kind", ""))):
             return f"KIND is missing. Did you mean 'dlgmd plot overview {kind}'?"
         example = re.search(rf"^ *({ctx.command_path} .*?) *(#|$)", str(ctx.command.help), re.M)
@@ -143,7 +146,8 @@ def mended(
         extra = [word for word in more if word in {*rest, *_inputs(ctx)} and not is_there(word)]
         if rest and extra and (meant := _of_value(ctx, option, " ".join([value, *extra]))):
             return meant
-    return of_missing_file(ctx, words, error.format_message()) or _of_names(ctx, rest)
+    meant = of_missing_file(ctx, words, error.format_message()) or _of_names(ctx, rest)
+    return meant or (_of_word(ctx, rest[0]) if len(rest) == 1 else "")
 
 
 def _values(
@@ -168,10 +172,13 @@ def _of_option(ctx: click.Context, words: Sequence[str], name: str) -> str:
     params = [*ctx.command.params, *ctx.find_root().command.params]
     if name.lower() in {one for param in params for one in param.opts}:
         return f"Did you mean {name.lower()!r}?"
-    begun = [one for param in params for one in param.opts if name.startswith(one) and len(one) > 2]
-    if begun:
-        option = max(begun, key=len)
-        return f"Did you mean '{option} {name.removeprefix(option).lstrip(':=')}'?"
+    known = [one for param in params for one in param.opts if len(one) > 2]
+    for option in sorted(known, key=len, reverse=True):
+        glued = name.removeprefix(option).lstrip(":=")
+        if name.startswith(option) and not glued[:1].isalpha():
+            return f"Did you mean '{option} {glued}'?"
+    if len(begun := [one for one in known if one.startswith(name) and len(name) > 3]) == 1:
+        return f"Did you mean {begun[0]!r}?"
     group = ctx.find_root().command
     assert isinstance(group, click.Group)
     others = [group.get_command(ctx, other) for other in group.list_commands(ctx)]
@@ -180,7 +187,10 @@ def _of_option(ctx: click.Context, words: Sequence[str], name: str) -> str:
         for other in others
         if other and any(name in param.opts for param in other.params)
     ]
-    return f"It is an option of {', '.join(owners)}." if owners else ""
+    if owners:
+        return f"It is an option of {', '.join(owners)}."
+    near = nearest(name, known, 0.7) if len(name) > 3 else None
+    return f"Did you mean {near!r}?" if near else ""
 
 
 def _of_value(ctx: click.Context, param: click.Option, value: str) -> str:
@@ -199,23 +209,32 @@ def _of_value(ctx: click.Context, param: click.Option, value: str) -> str:
     if name == "--start" and (ends := re.fullmatch(r"([\d.:]+)\s*[-–,]\s*([\d.:]+)", value)):
         return f"Did you mean '--start {ends[1]} --end {ends[2]}'?"
     for meant in _similar_values(value) if param.type is not click.STRING else ():
-        if takes(param, meant):
+        if meant != value and takes(param, meant):
             return f"Did you mean '{name} {meant}'?"
-    parts = _parts(value)
+    parts = _parts(value if any(takes(param, part) for part in _parts(value)) else value.lower())
     if len(parts) > 1 and all(takes(param, part) for part in parts):
         each = " ".join(f"{name} {part}" for part in parts)
         if param.callback is only_one:
             return f"{name} takes one value here; 'dlgmd compare INPUT {each}' takes several."
         one = f"{name} takes one value, such as {name} {parts[0]}."
         return f"Did you mean '{each}'?" if param.multiple else one
-    is_number = re.fullmatch(r"\d*\.?\d+", value) is not None
-    for other in ctx.command.params:
-        option, kind = max(other.opts, key=len), other.type
+    if re.fullmatch(r"\d*\.?\d+", value):
+        others = [other for other in ctx.command.params if _OF_NUMBERS.get(name) in other.opts]
+        return f"Did you mean '{_OF_NUMBERS[name]} {value}'?" if others else ""
+    shaped = [other for other in ctx.command.params if getattr(other.type, "name", "") in _SHAPES]
+    option = next((other.opts[0] for other in shaped if takes(other, value)), "")
+    return f"Did you mean '{option} {value}'?" if option else _of_word(ctx, value)
+
+
+def _of_word(ctx: click.Context, word: str) -> str:
+    """The option that takes a word; or empty."""
+    if word in ("yes", "true", "on", "no", "false", "off"):
+        return "A flag takes no value: leave it out, or write --no-… where there is one."
+    for param in ctx.command.params:
+        kind = param.type
         names = kind.choices if isinstance(kind, click.Choice) else getattr(kind, "names", tuple)()
-        is_shape = getattr(kind, "name", "") in ("WxH", "WxH+X+Y", "FROM:TO")
-        is_other = option == _OF_NUMBERS.get(name) if is_number else value in names or is_shape
-        if is_other and other is not param and takes(other, value):
-            return f"Did you mean '{option} {value}'?"
+        if isinstance(param, click.Option) and word in names:
+            return f"Did you mean '{max(param.opts, key=len)} {word}'?"
     return ""
 
 
@@ -223,7 +242,7 @@ def _similar_values(value: str) -> Iterator[str]:
     """What a value may have been meant to be."""
     if (number := meant_number(value)) is not None:
         yield f"{number:.12g}"
-    yield value.lower()
+    yield from (value.lower(), re.sub(r"\s", "", value))
     yield ",".join(_parts(value))
     numbers = re.findall(r"\d+", value)
     if len(numbers) > 1 and not re.search("[a-wyz.]", value, re.IGNORECASE):
@@ -234,7 +253,7 @@ def _similar_values(value: str) -> Iterator[str]:
 
 def _parts(value: str) -> list[str]:
     """`3-6` -> 3, 4, 5, 6; `png,pdf` -> png, pdf."""
-    ends = re.fullmatch(r"(\d{1,6})\s*(?:-|–|\.\.+|:|to)\s*(\d{1,6})", value)
+    ends = re.fullmatch(r"(\d{1,6})\s*(?:-|–|\.\.+|to)\s*(\d{1,6})", value)
     if ends and 0 < int(ends[2]) - int(ends[1]) < 100:
         return [str(number) for number in range(int(ends[1]), int(ends[2]) + 1)]
     return [part for part in re.split(r"[\s,;+&]+", value) if part]
@@ -273,8 +292,13 @@ def of_missing_file(ctx: click.Context, words: Sequence[str], message: str) -> s
     for at, word in enumerate(words):
         option, equals, name = word.rpartition("=") if word.startswith("-") else ("", "", word)
         is_file = name in inputs or Path(name).suffix or os.sep in name
-        if not (name and is_file and name in message) or is_there(name) or "://" in name:
+        is_quoted = name and re.search(rf"(^|'){re.escape(str(Path(name)))}[:']", message)
+        if not (is_file and is_quoted) or is_there(name) or "://" in name:
             continue
+        for param, value, more in _values(ctx, words):
+            values = [value, *(one for one in more if not is_there(one))]
+            if name in values[1:] and (meant := _of_value(ctx, param, " ".join(values))):
+                return meant
         if name in inputs and name.isdecimal() and ctx.info_name != "live":
             return f"A camera is for 'dlgmd live {name}'."
         if is_there(str(ctx.params.get("kind"))):  # plot's KIND comes first

@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.checks import Spec, in_argument, require_known
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
@@ -80,6 +80,8 @@ def _named_as(option: str) -> Callable[[str], str]:
             raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
         if option == "model" and ":" in text:
             find_modules_here()
+        elif option == "model":
+            require_known("model", text, _model_names())
         if option == "set":
             presets.require_preset(text)
         return text

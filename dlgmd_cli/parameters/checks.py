@@ -11,6 +11,9 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
 
+# The units of options; a number with another one is not converted.
+_UNITS = "%|°|deg|degrees?|s|secs?|seconds?|fps|hz|px|m|m/s|/s|1/s|frames?"
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -109,7 +112,7 @@ class Spec:
 
 def meant_number(text: str) -> float | None:
     """The number of a text with a decimal comma, a percent sign or a unit; or None."""
-    match = re.fullmatch(r"\s*([-+−]?\d*[.,]?\d+)\s*(%|°|[^\W\d_][^\d,;]*)?", text)
+    match = re.fullmatch(rf"\s*([-+−]?\d*[.,]?\d+)\s*({_UNITS})?\s*", text, re.IGNORECASE)
     if match is None or re.fullmatch(r"\d+,\d{3}", match[1]):  # 1,000 may be 1 or 1000
         return None
     number = float(match[1].replace(",", ".").replace("−", "-"))
