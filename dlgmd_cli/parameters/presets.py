@@ -455,7 +455,8 @@ def load_config(path: str | Path) -> Config:
     ParameterError
         If the file cannot be read, is not plain YAML, or is not a mapping.
     """
-    name, path = str(path), Path(path)
+    name = str(path)
+    path = Path(name)
     if name in PRESETS:
         return load_preset(name)
     if not path.exists():

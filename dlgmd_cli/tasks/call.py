@@ -258,6 +258,8 @@ def at_threshold(
 
 def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
     """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
+    if param is not None and not isinstance(param, Mapping):
+        raise ParameterError("", "param is not a mapping", "Write param={'r': 4}.")
     if alarm is None:
         return dict(param or {})
     with in_argument("alarm"):

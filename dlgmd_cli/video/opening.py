@@ -338,7 +338,8 @@ def _source(
     if not isinstance(path, str | os.PathLike):
         if not isinstance(path, Iterable):
             what = type(path).__name__
-            raise ParameterError("", f"expected a path or images, not {what}", "Give a video.")
+            hint = "A camera is for live." if isinstance(path, int) else "Give a video."
+            raise ParameterError("", f"expected a path or images, not {what}", hint)
         return NAME, NAME, partial(ArrayDecoder, path, fps)
     file, where = Path(path), os.path.abspath(path)
     if not os.fspath(path):

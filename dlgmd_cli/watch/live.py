@@ -262,7 +262,9 @@ def live(
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
     if not chosen.realtime:
-        others = {name: options[name] for name in options.keys() - {*_OF_INPUT}}
+        others = {
+            name: options[name] for name in RULE_ARGUMENTS.keys() & options.keys() - {*_OF_INPUT}
+        }
         refuse(others, f"works only with {argument('realtime')}, which plays a file")
     request = fold(model, None, param, {**options, "threshold": chosen.threshold})
     setup, threshold_at = _at_speed(request.setup, chosen)
@@ -282,7 +284,7 @@ def live(
             recording = stack.enter_context(context)
             puts.append(recording.put)
         if chosen.serve is not None:
-            page = stack.enter_context(_page(chosen.serve, frames, statistics, alarm))
+            page = stack.enter_context(_page(str(chosen.serve), frames, statistics, alarm))
             puts.append(page.put)
             url = page.url
         puts += [] if on_answer is None else [on_answer]
