@@ -197,7 +197,7 @@ def _numbers(pattern: str, text: Any) -> list[int]:
 
     The numbers themselves may be given in place of a text.
     """
-    if isinstance(text, list | tuple):
+    if isinstance(text, tuple):
         is_fitting = len(text) == pattern.count("N") and all(type(part) is int for part in text)
         return [*text] if is_fitting and min(text) >= 0 else []
     numbers = pattern.replace("N", r"(\d{1,6})")
