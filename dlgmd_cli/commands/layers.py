@@ -71,7 +71,8 @@ def layers(
     if not frames and film is not None and arguments["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
     if not frames and film is not None:
-        refuse_given({"formats", "out"}, "works only with --frames, beside --video")
+        useless = {"out", *(("formats",) if arguments["formats"] else ())}
+        refuse_given(useless, "works only with --frames, beside --video")
     from dlgmd_cli.tasks import layers as task
 
     show(task.layers(input_path, frames=frames, film=film, progress=progress, **arguments))

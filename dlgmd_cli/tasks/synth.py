@@ -67,7 +67,7 @@ def synth(
     >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
     >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     """
-    if not options.get("noise"):
+    if options.get("noise") is None:
         refuse({"seed": options.get("seed")}, f"works only with {argument('noise')}")
     stimulus = find_scene(scene).configured(_of_scene(options))
     truth = table_of(Truth._fields, stimulus.truth())
