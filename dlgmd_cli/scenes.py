@@ -80,7 +80,7 @@ class Scene(ABC):
     noise: float = option(0.0, "noise", 0, 1)
 
     def __post_init__(self) -> None:
-        for name, each in self._options().items():
+        for name, each in self.options().items():
             value, spec = getattr(self, each.name), each.metadata["spec"]
             is_tuple = isinstance(each.default, tuple)
             values = tuple(value) if isinstance(value, tuple | list) else (value,)
@@ -104,7 +104,7 @@ class Scene(ABC):
         self.n_frames()
 
     @classmethod
-    def _options(cls) -> dict[str, Field[Any]]:
+    def options(cls) -> dict[str, Field[Any]]:
         """Name of the argument -> field."""
         return {each.metadata["name"]: each for each in fields(cls) if each.metadata}
 
@@ -114,7 +114,7 @@ class Scene(ABC):
         Raises ParameterError if the scene lacks an option, or cannot be rendered with these
         values.
         """
-        options = self._options()
+        options = self.options()
         for name in given:
             if name not in options:
                 hint = f"It takes {', '.join(map(argument, options))}."

@@ -2,7 +2,6 @@
 
 import io
 import os
-import shlex
 import sys
 from importlib import import_module
 from typing import Any
@@ -15,9 +14,9 @@ from dlgmd_cli.commands.console import (
     errors_as_one_line,
     general_first,
     general_options,
-    is_path,
     show_traceback,
 )
+from dlgmd_cli.commands.mending import call, expanded, meant_command, plain
 
 # Section of the help -> its commands; the common commands come first.
 GROUPS = {
@@ -69,19 +68,21 @@ class LazyGroup(Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; the error for an unknown name suggests a similar one."""
-        from dlgmd_cli.parameters.checks import nearest
-
         name = click.utils.make_str(args[0])
-        if name not in (*COMMANDS, *HIDDEN) and is_path(name):
-            ctx.fail(f"no such command {name!r}. Did you mean 'dlgmd run {shlex.join(args)}'?")
-        near = None if name in COMMANDS else nearest(name, COMMANDS)
-        if near:
-            ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
-        return super().resolve_command(ctx, args)
+        if name not in COMMANDS and self.get_command(ctx, name) is None:
+            ctx.fail(f"no such command {name!r}. {meant_command(args, COMMANDS)}")
+        return click.Group.resolve_command(self, ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the general options, which may also follow the command."""
-        return super().parse_args(ctx, general_first(self.params, args))
+        given = expanded(args)
+        if (words := plain(given)) != given and not ctx.resilient_parsing:
+            ctx.fail(f"a dash or a quote is not a plain one. {call(ctx, words)}")
+        try:
+            return super().parse_args(ctx, general_first(self.params, list(words)))
+        except click.NoSuchOption as error:
+            meant = meant_command(words, COMMANDS)
+            raise click.UsageError(f"No such option {error.option_name!r}. {meant}", ctx) from None
 
     def make_context(
         self,

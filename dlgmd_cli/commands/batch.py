@@ -19,13 +19,14 @@ def model_setups(
     brake: str | None = None,
 ) -> "list[options.Setup]":
     """All models that the options name, each once."""
-    from dlgmd_cli.tasks.call import DLGMD, at_threshold, choose, with_rule
+    from dlgmd_cli.tasks.call import DLGMD, at_threshold, choose, requiring_rules, with_rule
 
     if set_names or configs:  # sets and files are D-LGMDs already, or a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
     param = with_rule(options.overrides(pairs), alarm)
-    return [at_threshold(choose(name, param), threshold, speed_m_s, brake) for name in named]
+    setups = requiring_rules([choose(name, param) for name in named], param)
+    return [at_threshold(setup, threshold, speed_m_s, brake) for setup in setups]
 
 
 @click.command(cls=Command)

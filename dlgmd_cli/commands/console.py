@@ -4,11 +4,10 @@ import json
 import logging
 import os
 import re
-import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from click.exceptions import NoArgsIsHelpError
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
+from dlgmd_cli.commands.mending import mended, of_missing_file
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -32,6 +32,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.checks import require_known
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -61,6 +62,8 @@ _SHORTAGES = {
 }
 # Most rows of a table that is transposed, and a width in characters that no table has.
 _MOST_TURNED, _UNLIMITED = 12, 10_000
+# Key of a command's words in its context.
+_WORDS = "dlgmd.words"
 # Number of extra arguments that an error lists.
 _MAX_LISTED = 3
 
@@ -187,6 +190,14 @@ class _WithSections(click.Command):
 class Group(_WithSections, click.Group):
     """A group of commands."""
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; the error for an unknown name suggests a similar one."""
+        if self.get_command(ctx, args[0]) is None:
+            require_known("command", args[0], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
+
 
 class Command(_WithSections):
     """A command that prints each error as one line."""
@@ -213,41 +224,19 @@ class Command(_WithSections):
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         ctx.allow_extra_args = True  # the error below lists them
-        given = tuple(args)  # click empties the list
-        words = " ".join(given)
+        given = ctx.meta[_WORDS] = tuple(args)  # click empties the list
         try:
             with naming_arguments(self.argument_names()):
                 rest = super().parse_args(ctx, args)
-        except click.NoSuchOption as error:
-            if meant := self._meant(ctx, given):
-                raise click.UsageError(meant, ctx) from None
-            key = error.option_name.lstrip("-").replace("-", "_")
-            options = [param for param in self.params if "--param" in param.opts]
-            keys = [item.value for param in options for item in param.shell_complete(ctx, key)]
-            if f"{key}=" in keys:
-                value = re.search(rf"{re.escape(error.option_name)}[ =]+([^\s-]\S*)?", f"{words} ")
-                hint = f"--param {key}={(value and value[1]) or 'VALUE'}"
-                why = f"No such option {error.option_name!r}. Did you mean {hint!r}?"
-                raise click.UsageError(why, ctx) from None
+        except NoArgsIsHelpError:
             raise
+        except click.UsageError as error:
+            meant = mended(ctx, given, error)
+            raise _corrected(error.format_message(), meant, ctx) from None
         if rest and not ctx.resilient_parsing:
-            raise click.UsageError(self._meant(ctx, given, rest) or _too_many(rest), ctx)
+            too_many = click.UsageError(_too_many(rest), ctx)
+            raise _corrected(too_many.message, mended(ctx, given, too_many, rest), ctx)
         return rest
-
-    def _meant(self, ctx: click.Context, args: Sequence[str], rest: Sequence[str] = ()) -> str:
-        """The correction of a common mistake, or an empty text; `rest` are unexpected arguments."""
-        params = [*self.params, *ctx.find_root().command.params]
-        names = {name for param in params for name in param.opts}
-        for word, value in zip(args, [*args[1:], ""], strict=True):
-            name = word.partition("=")[0]
-            if len(name) > 2 and not name.startswith("--") and f"-{name}" in names:
-                return f"No such option {name!r}. Did you mean '-{word}'?"
-            if word == "--param" and "--param" in names and "=" not in value and len(rest) == 1:
-                return f"--param takes KEY=VALUE. Did you mean '--param {value}={rest[0]}'?"
-        if self.name == "run" and 0 < len(rest) < _MAX_LISTED and all(map(is_path, rest)):
-            files = shlex.join([str(ctx.params.get("input_path")), *rest])
-            return f"run takes one INPUT. Did you mean 'dlgmd batch {files}'?"
-        return ""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that was only logged also gives the exit code 1."""
@@ -258,15 +247,32 @@ class Command(_WithSections):
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore", DlgmdWarning)  # these warnings are also logged
-            returned = super().invoke(ctx)
+            try:
+                returned = super().invoke(ctx)
+            except (DlgmdError, click.UsageError) as error:
+                if meant := of_missing_file(ctx, ctx.meta.get(_WORDS, ()), str(error)):
+                    raise _corrected(str(error), meant, ctx) from None
+                raise
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
 
 
-def is_path(word: str) -> bool:
-    """Whether a word names a file or folder, or ends as the name of a file does."""
-    return bool(Path(word).suffix) or os.path.exists(word)  # noqa: PTH110, any length
+def refuse_given(names: Collection[str], why: str) -> None:
+    """Raise UsageError if one of the arguments `names` is given as an option, and why not."""
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{max(parameter.opts, key=len)} {why}. Leave it out.")
+
+
+def _corrected(message: str, correction: str, ctx: click.Context) -> click.UsageError:
+    """The error of a wrong call, with the call that was meant in place of click's guess."""
+    line = " ".join(message.split())
+    if correction:
+        line = re.sub(r" \(?(Did you mean|Check the path|Write) .*", "", line)
+    return click.UsageError(f"{line} {correction}".strip(), ctx)
 
 
 def _too_many(extra: list[str]) -> str:

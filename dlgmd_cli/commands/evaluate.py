@@ -8,7 +8,7 @@ import click
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, variant_option, with_variants
-from dlgmd_cli.commands.console import Command, progress, show
+from dlgmd_cli.commands.console import Command, progress, refuse_given, show
 from dlgmd_cli.parameters.facts import Value
 
 # Options that need a run of the models (as all options of the input do), refused with --results.
@@ -138,16 +138,7 @@ def evaluate(
 
     of_models = {"model": model, "jobs": jobs, **given}
     if results is not None:
-        _refuse(_OF_MODELS | given.keys())
+        refuse_given({*_OF_MODELS, *given}, "does not work with --results")
         of_models = {}
     arguments |= {"results": results, **of_models}
     show(task(labels_path, progress=progress, **arguments))
-
-
-def _refuse(names: set[str]) -> None:
-    """Raise UsageError if one of the options `names` is given."""
-    context = click.get_current_context()
-    for parameter in context.command.params:
-        source = context.get_parameter_source(str(parameter.name))
-        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, progress, show
+from dlgmd_cli.commands.console import Command, progress, refuse_given, show
 
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
@@ -70,6 +70,9 @@ def layers(
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
     if not frames and film is not None and arguments["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
+    if not frames and film is not None:
+        useless = {"out", *(("formats",) if arguments["formats"] else ())}
+        refuse_given(useless, "works only with --frames, beside --video")
     from dlgmd_cli.tasks import layers as task
 
     show(task.layers(input_path, frames=frames, film=film, progress=progress, **arguments))

@@ -16,12 +16,12 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec, in_argument
+from dlgmd_cli.parameters.checks import Spec, in_argument, require_known
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
 from dlgmd_cli.video.base import parse_crop, parse_size
-from dlgmd_cli.video.input_options import SPECS
+from dlgmd_cli.video.input_options import SPECS, parse_time
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.call import Setup as Setup
@@ -74,10 +74,16 @@ def _named_as(option: str) -> Callable[[str], str]:
             hint = f"Write --model {module}:{script[2] or 'CLASS'}."
             raise ParameterError("", f"{text[:80]!r} is a file", hint)
         other, what = presets.kind_of_name(text)
+        if other == "config" != option and not text.lower().endswith((".yaml", ".yml")):
+            raise ParameterError("", f"{text[:80]!r} is a file, not a name")
         if other not in ("", option):
             raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
         if option == "model" and ":" in text:
             find_modules_here()
+        elif option == "model":
+            require_known("model", text, _model_names())
+        if option == "set":
+            presets.require_preset(text)
         return text
 
     return parse
@@ -95,7 +101,19 @@ def find_modules_here() -> None:
 
 
 SIZE, FRAME = Parsed("WxH", parse_size), numeric(int, 0, 999_999_999)
-_SET = Parsed("N|NAME", _named_as("set"), lambda: (*presets.preset_names(), *presets.PRESETS))
+
+
+def _set_names() -> tuple[str, ...]:
+    return (*presets.preset_names(), *presets.PRESETS)
+
+
+def _each_set(text: str) -> tuple[str, ...]:
+    """`3,6` -> ("3", "6")."""
+    return tuple(_named_as("set")(name.strip()) for name in text.split(","))
+
+
+_SET = Parsed("N|NAME", _named_as("set"), _set_names)
+_SETS = Parsed("N|NAME", _each_set, _set_names)
 _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
 NO_FIGURES = "none"
@@ -239,7 +257,7 @@ inputs_argument = click.argument(
 # The model and its parameters.
 
 
-def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Value, ...]) -> Any:
+def only_one(ctx: click.Context, param: click.Parameter, values: tuple[Value, ...]) -> Any:
     """The value of an option; raises UsageError if it is given more than once."""
     if len(values) > 1:
         raise click.UsageError(
@@ -279,7 +297,7 @@ alarm_option = click.option(
 )
 threshold_option = click.option(
     "--threshold",
-    type=click.FLOAT,
+    type=numeric(low=-math.inf),
     metavar="X",
     help="Threshold of the alarm rule: expansion rate in 1/s, time to contact in s, or normalised "
     "MP of a spike.  [default: that of the model]",
@@ -296,24 +314,23 @@ def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     return values
 
 
-def _each_set(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+def _joined(ctx: click.Context, param: click.Parameter, values: tuple[tuple[str, ...], ...]) -> Any:
     """`3,6` and `9` -> ("3", "6", "9")."""
-    names = [name.strip() for value in values for name in value.split(",")]
-    return tuple(_SET.convert(name, param, ctx) for name in names)
+    return tuple(name for names in values for name in names)
 
 
 def _naming_options(*, many: bool) -> tuple[Option, ...]:
     """The options --set, --config and --model; with `many`, they may be repeated."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
-    option = partial(click.option, multiple=True, callback=None if many else _only_one)
+    option = partial(click.option, multiple=True, callback=None if many else only_one)
     several = " Several as 3,6,7, or repeatable." if many else ""
     return (
         click.option(
             "--set",
             f"set_name{plural}",
-            type=_SET,
+            type=_SETS if many else _SET,
             multiple=True,
-            callback=_each_set if many else _only_one,
+            callback=_joined if many else only_one,
             metavar="N|NAME",
             help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}."
             f"{several}  [default: {presets.PRESETS[0]}]",
@@ -410,17 +427,6 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 # How the input is read.
 
 
-def _time(text: str) -> float:
-    """`00:01:30.250` -> 90.25."""
-    clock = r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)"
-    match = re.fullmatch(clock, text.strip(), re.ASCII)
-    if match is None or (match[2] and float(match[3]) >= 60.0):
-        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
-    hours, minutes, seconds = (float(part or 0) for part in match.groups())
-    time_s: float = SPECS["start"].check(hours * 3600 + minutes * 60 + seconds)
-    return time_s
-
-
 def _choice(name: str) -> click.Choice[str]:
     return click.Choice([*SPECS[name].choices])
 
@@ -437,8 +443,8 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "taking every k-th frame; frames keep their times.  [default: the model's model_fps, "
         f"{presets.DEFAULT_MODEL_FPS:g}, for videos; all for images. With several models, the "
         "highest model_fps is used for all.]"),
-    "start": (Parsed("TIME", _time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
-    "end": (Parsed("TIME", _time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
+    "start": (Parsed("TIME", parse_time), "TIME", "Start here: seconds, or HH:MM:SS.mmm."),
+    "end": (Parsed("TIME", parse_time), "TIME", "Stop before this time: seconds, or HH:MM:SS.mmm."),
     "crop": (Parsed("WxH+X+Y", parse_crop), "WxH+X+Y", "Use only this part of the image; X and Y "
         "are its upper left corner in px."),
     "mask": (_IMAGE_FILE, "FILE", "Ignore the pixels that are black in this image. A mask of the "

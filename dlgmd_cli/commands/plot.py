@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, is_path, show
+from dlgmd_cli.commands.console import Command, show
 from dlgmd_cli.errors import ParameterError, printable
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.files import FIGURE_FORMATS
@@ -108,22 +108,7 @@ one_panel_option = click.option(
 )
 
 
-class _Plot(Command):
-    """`dlgmd plot`, whose first argument, KIND, is often forgotten."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; the error names KIND if a result stands in its place."""
-        try:
-            return super().parse_args(ctx, args)
-        except click.MissingParameter:
-            kind = str(ctx.params.get("kind"))
-            if kind in KINDS or not is_path(kind):
-                raise
-            why = f"KIND is missing. Did you mean 'dlgmd plot overview {printable(kind)}'?"
-            raise click.UsageError(why, ctx) from None
-
-
-@click.command(cls=_Plot, short_help="Draw stored results.")
+@click.command(cls=Command, short_help="Draw stored results.")
 @click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
 @options.results_argument
 @annotation_options

@@ -42,7 +42,7 @@ from dlgmd_cli.parameters.presets import (
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.scenes import ball_approaches
-from dlgmd_cli.tasks.call import ModelName, choose, options_for, with_rule
+from dlgmd_cli.tasks.call import ModelName, choose, options_for, require_measured, with_rule
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import parse_size
 
@@ -105,10 +105,11 @@ def export(
     >>> export(9, "firmware", size="160x120").costs["ram_bytes"]  # doctest: +SKIP
     69180
     """
-    size_wh = parse_size(size) if isinstance(size, str) else size
+    size_wh = parse_size(size)
     if model is None and size_wh[0] <= SMALL_WIDTH_PX:  # small frames have a preset of their own
         model = PRESETS[-1]
     setup = choose(model, with_rule(param, alarm))
+    require_measured([setup], {"fov": fov, "camera_tilt": camera_tilt})
     command = "".join(f" --set {name}" for name in setup.config.named.values())
     options = options_for(setup, {"fov": fov, "camera_tilt": camera_tilt})
     camera = camera_of(replace(options, crop=None), size_wh)[0]

@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from dlgmd_cli.models.rules import Rule, too_slow
 from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.presets import DESCRIBING, Config, config_of, parameters_of
+from dlgmd_cli.parameters.presets import DESCRIBING, Config, ModelName, config_of, parameters_of
 from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.stream.clock import StreamClock
 from dlgmd_cli.stream.continuity import Continuity
@@ -83,7 +82,7 @@ class Alarm:
 
     def __init__(
         self,
-        model: Any = None,
+        model: ModelName | None = None,
         *,
         resize: bool = True,
         width_px: int | None = None,

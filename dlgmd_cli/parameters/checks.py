@@ -2,6 +2,7 @@
 
 import math
 import numbers
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -9,6 +10,9 @@ from difflib import SequenceMatcher
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
+
+# The units of options; a number with another one is not converted.
+_UNITS = "%|°|deg|degrees?|s|secs?|seconds?|fps|hz|px|m|m/s|/s|1/s|frames?"
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,18 @@ class Spec:
             why = self._fault(value, bounded)
         if why is None:
             return self.kind(value)
-        raise ParameterError("", f"{f'{name} = ' if name else ''}{shown(value)} {why}")
+        why = f"{f'{name} = ' if name else ''}{shown(value)} {why}"
+        raise ParameterError("", why, self._hint(value, bounded))
+
+    def _hint(self, value: Any, bounded: bool) -> str:
+        """The number that a text such as `50%` means, or the range that a number is out of."""
+        if self.kind not in (int, float) or isinstance(value, bool):
+            return ""
+        number = meant_number(value) if isinstance(value, str) else None
+        if number is not None and self._fault(number, bounded) is None:
+            return f"Write {number:.12g}."
+        is_number = isinstance(value, numbers.Real) and self.unit != "–"
+        return f"Choose {self.allowed} {self.unit}." if is_number else ""
 
     def parse(self, text: str, name: str = "", *, bounded: bool = True) -> Any:
         """The value written in `text`; raises ParameterError as `check` does."""
@@ -95,6 +110,15 @@ class Spec:
         return f"is more than {self.high:g}" if value > self.high else None
 
 
+def meant_number(text: str) -> float | None:
+    """The number of a text with a decimal comma, a percent sign or a unit; or None."""
+    match = re.fullmatch(rf"\s*([-+−]?\d*[.,]?\d+)\s*({_UNITS})?\s*", text, re.IGNORECASE)
+    if match is None or re.fullmatch(r"\d+,\d{3}", match[1]):  # 1,000 may be 1 or 1000
+        return None
+    number = float(match[1].replace(",", ".").replace("−", "-"))
+    return number / 100.0 if match[2] == "%" else number
+
+
 @contextmanager
 def blame(what: str) -> Iterator[None]:
     """Name `what` as the thing at fault in every ParameterError inside the context."""
@@ -115,14 +139,14 @@ def in_argument(name: str) -> Iterator[None]:
         raise ParameterError("", error.why, error.hint, name) from error.__cause__
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The word of `known` that is most similar to `word`, or None if none is similar."""
+def nearest(word: str, known: Iterable[str], least: float = 0.6) -> str | None:
+    """The word of `known` that is most similar to `word`, or None if none is similar enough."""
 
     def similarity(candidate: str) -> float:
         return SequenceMatcher(None, candidate, word.lower()).ratio()
 
     best = max(known, key=similarity, default="")
-    return best if similarity(best) >= 0.6 else None
+    return best if similarity(best) >= least else None
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

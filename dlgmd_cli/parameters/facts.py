@@ -6,7 +6,8 @@ parameters of the model, which the model's parameter class checks.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from inspect import Parameter, signature
 from types import UnionType
 from typing import (
     Any,
@@ -227,3 +228,32 @@ def part_of(facts: Mapping[str, object], kind: type[KindT]) -> KindT:
     """The entries of a record whose keys the class `kind` names."""
     known = get_type_hints(kind)
     return cast(KindT, {key: value for key, value in facts.items() if key in known})
+
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+
+def stating(arguments: Any) -> Callable[[FunctionT], FunctionT]:
+    """A decorator: the signature names the arguments that a function takes by two asterisks.
+
+    `arguments` is a mapping, name -> type, all None by default; or a dataclass or a function, whose
+    arguments by name are meant.
+    """
+    kind = Parameter.KEYWORD_ONLY
+    if isinstance(arguments, Mapping):
+        more = [
+            Parameter(name, kind, default=None, annotation=of) for name, of in arguments.items()
+        ]
+    else:
+        known = signature(arguments).parameters.values()
+        meant = [one for one in known if isinstance(arguments, type) or one.kind is kind]
+        more = [one.replace(kind=kind) for one in meant]
+
+    def decorate(function: FunctionT) -> FunctionT:
+        stated = signature(function)
+        own = {p.name: p for p in stated.parameters.values() if p.kind is not p.VAR_KEYWORD}
+        every = [*own.values(), *(one for one in more if one.name not in own)]
+        function.__signature__ = stated.replace(parameters=every)  # type: ignore[attr-defined]
+        return function
+
+    return decorate

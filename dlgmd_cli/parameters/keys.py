@@ -88,7 +88,7 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", f"rule that raises alarms: {', '.join(RULES)}"),
     "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
-    "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 100),
+    "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 10),
 }
 
 

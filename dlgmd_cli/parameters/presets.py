@@ -23,7 +23,14 @@ from dlgmd_cli.parameters.checks import (
     require_known,
     shown,
 )
-from dlgmd_cli.parameters.facts import InputFacts, Named, Value, of_another_schema, part_of
+from dlgmd_cli.parameters.facts import (
+    InputFacts,
+    Named,
+    Value,
+    of_another_schema,
+    part_of,
+    stating,
+)
 from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
@@ -47,7 +54,10 @@ SMALL_WIDTH_PX = 128
 # Frame width (px) and rate (frames/s) that parameters are designed for, if their file states none.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The angles of a camera, in degrees.
-ANGLES = {"fov": Spec(float, 1, 170), "camera_tilt": Spec(float, -45, 45)}
+ANGLES = {
+    "fov": Spec(float, 1, 170, unit="degrees"),
+    "camera_tilt": Spec(float, -45, 45, unit="degrees"),
+}
 # The keys of a configuration file that are not parameters.
 DESCRIBING = {
     "model": Spec(str),
@@ -329,7 +339,11 @@ class Config:
         return Path(self.name).stem or str(self.model).rpartition(":")[2]
 
 
-def config_of(model: Any = None) -> Config:
+# A model, by anything that `config_of` accepts.
+ModelName = int | str | os.PathLike[str] | type | Parameters | Config
+
+
+def config_of(model: ModelName | None = None) -> Config:
     """The configuration of a model, however the model is named.
 
     Parameters
@@ -358,7 +372,7 @@ def config_of(model: Any = None) -> Config:
         is_dlgmd = name == DlgmdParameters.model
         return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
     if option == "model":
-        found = find_model(model)
+        found = find_model(model if isinstance(model, type) else name)
         return Config("", found.model, kind=found)
     if option == "config" or isinstance(model, os.PathLike) or Path(name).exists():
         return load_config(name)  # raises if the file is missing, or not a file
@@ -401,13 +415,18 @@ def load_preset(name: str | int) -> Config:
     """The paper's set `name`, 1 to 9 or set1 to set9, or a preset; raises ParameterError."""
     if name in PRESETS:
         return replace(load_model_preset(str(name)), named={"preset": str(name)})
-    names = preset_names()
+    require_preset(str(name))
     number = str(name).removeprefix("set")
-    if number not in names:
-        why = f"there is no set {str(name)[:40]}"
-        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
-        raise ParameterError("", why, f"{did_you_mean(str(name), PRESETS)}{choices}")
     return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
+
+
+def require_preset(name: str) -> None:
+    """Raise ParameterError unless there is a set or a preset of this name."""
+    names = preset_names()
+    if name not in PRESETS and name.removeprefix("set") not in names:
+        choices = f"Choose {names[0]} to {names[-1]}, {' or '.join(PRESETS)}."
+        hint = f"{did_you_mean(name, PRESETS)}{choices}"
+        raise ParameterError("", f"there is no set {name[:40]}", hint)
 
 
 def load_model_preset(stem: str) -> Config:
@@ -415,6 +434,7 @@ def load_model_preset(stem: str) -> Config:
     return load_config(presets_dir() / f"{stem}.yaml")
 
 
+@stating({name: spec.kind for name, spec in DlgmdParameters.specs().items()})
 def load_set(name: str | int, **overrides: Value) -> DlgmdParameters:
     """The paper's parameter set `name`, 1 to 9, with single keys overridden.
 
@@ -443,7 +463,8 @@ def load_config(path: str | Path) -> Config:
     ParameterError
         If the file cannot be read, is not plain YAML, or is not a mapping.
     """
-    name, path = str(path), Path(path)
+    name = str(path)
+    path = Path(name)
     if name in PRESETS:
         return load_preset(name)
     if not path.exists():

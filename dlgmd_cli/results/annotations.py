@@ -1,13 +1,32 @@
 """Data for figures over time: the kinds of figures, and annotations of frames."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
+from typing import Any, Literal
 
 from dlgmd_cli.errors import ParameterError, argument, printable
 
 # (frame, text) for all results, or (label, frame, text) for the result with this label.
 Mark = tuple[int, str] | tuple[str, int, str]
+
+
+# Name -> type of the options of a figure over time, as arguments of a function.
+PLOT_ARGUMENTS: dict[str, Any] = {
+    "ax": "Axes | None",
+    "mark": Iterable[Mark],
+    "span": Iterable[tuple[int, int, str]],
+    **dict.fromkeys(("collision_frame", "false_positive_frame"), int | None),
+    "collisions": Mapping[str, Sequence[int]] | None,
+    "emphasise": str | None,
+    "until": Literal["collision"] | None,
+    "one_panel": bool,
+    **dict.fromkeys(("xlim", "ylim"), tuple[float, float] | None),
+    "column": Literal["mp_abs", "mp_seq"] | None,
+    "width": Literal["one", "two"],
+}
+
+
 # The types in a mark, with and without a label; the types in a span.
 _MARKS, _SPANS = ((Integral, str), (str, Integral, str)), ((Integral, Integral, str),)
 

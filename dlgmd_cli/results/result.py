@@ -21,9 +21,10 @@ from dlgmd_cli.models import detection, normalise
 from dlgmd_cli.models.base import Response
 from dlgmd_cli.models.columns import ALARMS
 from dlgmd_cli.models.rules import Rule, rule_of, too_slow
-from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json
+from dlgmd_cli.parameters.facts import InputFacts, Json, Record, Summary, defined, for_json, stating
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import annotations, csv, store
+from dlgmd_cli.results.annotations import PLOT_ARGUMENTS
 from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.names import frames_text, recorded_name
@@ -448,6 +449,7 @@ class Result(Outcome):
         """The identity of the input, from the record."""
         return self.record.get("input", {})
 
+    @stating(PLOT_ARGUMENTS)
     def plot(self, kind: str | None = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes`, `ttc`, `overview`, or a column by its name.
 
@@ -458,6 +460,7 @@ class Result(Outcome):
             return self.figure(kind, **options)
         return super().plot(kind, **options)
 
+    @stating(PLOT_ARGUMENTS)
     def figure(self, kind: str, **options: Any) -> "Figure":
         """Draw a kind of figure, or a column."""
         return drawn_by("traces.plot")(kind, {self.title: self}, **options)

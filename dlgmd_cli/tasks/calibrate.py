@@ -28,8 +28,8 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.models.rules import Spikes, rule_of
-from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.facts import Json, Value, finite, for_json
+from dlgmd_cli.parameters.checks import Spec, refuse
+from dlgmd_cli.parameters.facts import Json, Value, finite, for_json, stating
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Table, table_of
@@ -38,7 +38,16 @@ from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Differences, Scores, Signal, Tally
-from dlgmd_cli.tasks.call import ModelName, Progress, Request, Setup, fold, no_progress
+from dlgmd_cli.tasks.call import (
+    RULE_ARGUMENTS,
+    ModelName,
+    Progress,
+    Request,
+    Setup,
+    fold,
+    no_progress,
+    require_measured,
+)
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, add_all, left_out, run_cases
 from dlgmd_cli.tasks.evaluate.evaluate import false_per_min
 from dlgmd_cli.tasks.evaluate.tables import false_text, hits_text
@@ -67,6 +76,7 @@ class Choice(NamedTuple):
 Choices = tuple[Choice, ...]
 
 
+@stating(RULE_ARGUMENTS)
 def calibrate(
     labels: str | os.PathLike[str],
     model: ModelName | None = None,
@@ -123,6 +133,9 @@ def calibrate(
         why = f"{argument('name')}: {printable(name)!r} is not the name of a file"
         raise ParameterError("", why)
     request = fold(model, formulation, param, options)
+    require_measured(request.setups, options)
+    found = {name: options.get(name) for name in ("threshold", "speed_m_s")}
+    refuse(found, "has no effect: calibrate finds the threshold")
     rule = rule_of(request.setup.params)
     rule.tuned(rule.strength_at(rule.threshold), rule.n_in_a_row)  # raises if it cannot be tuned
     if request.options.normalise == "sequence" and rule.uses_level:
@@ -132,6 +145,7 @@ def calibrate(
     n_folds = _FOLDS.check(folds, argument("folds"))
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
+    request = request.for_any_of(case.path for case in cases)
     with ExitStack() as opened:
         if out is not None:
             store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)

@@ -4,26 +4,33 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.errors import ParameterError, argument, counted, warn
+from dlgmd_cli.errors import DlgmdError, ParameterError, argument, counted, warn
 from dlgmd_cli.models import stopping
 from dlgmd_cli.models.own_rules import own_rule
-from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import in_argument
+from dlgmd_cli.parameters.checks import in_argument, refuse
 from dlgmd_cli.parameters.facts import Record, Value, extended
-from dlgmd_cli.parameters.keys import SPIKES, changed
+from dlgmd_cli.parameters.keys import RULES, SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.base import ImageOptions
-from dlgmd_cli.video.input_options import CHECKS, InputOptions
-from dlgmd_cli.video.opening import Openable, content_sha256, open_input, processed_size
+from dlgmd_cli.video.input_options import CHECKS, INPUT_ARGUMENTS, InputOptions
+from dlgmd_cli.video.opening import (
+    ONLY_FOR,
+    Openable,
+    content_sha256,
+    open_input,
+    processed_size,
+    require_used,
+)
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import clips_of, make_clips, spans_of
 
@@ -36,6 +43,15 @@ OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback, which takes the number done
 # and, optionally, a new name.
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
+
+
+# Name -> type of the options of an input and of the rule, and of a run, as arguments.
+RULE_ARGUMENTS: dict[str, Any] = {
+    **INPUT_ARGUMENTS,
+    "alarm": str | type[Rule] | None,
+    "threshold": float | None,
+}
+RUN_ARGUMENTS: dict[str, Any] = {**RULE_ARGUMENTS, "speed_m_s": float | None}
 
 
 @dataclass(frozen=True)
@@ -77,10 +93,15 @@ class Setup:
 
 @dataclass(frozen=True)
 class Request:
-    """The request to a task: one or several models, and the options of the input."""
+    """The request to a task: one or several models, and the options of the input.
+
+    `given` names the options that the user gave, and that not every input uses: `open` refuses
+    those without effect. `for_any_of` does so for several inputs.
+    """
 
     setups: tuple[Setup, ...]
     options: InputOptions
+    given: frozenset[str] = frozenset()
 
     @property
     def setup(self) -> Setup:
@@ -104,16 +125,38 @@ class Request:
         named = [setup.params.to_dict().get("formulation") for setup in self.setups]
         is_released = any(str(name).startswith("released") for name in (*formulations, *named))
         model_fps = max(setup.config.model_fps for setup in self.setups)
-        return open_input(
+        video = open_input(
             source,
             self.options,
             width_px=self.setup.config.width_px,
             model_fps=None if is_released else model_fps,
         )
+        with ExitStack() as stack:
+            stack.push(video)
+            require_used(self.given, [video.unused])
+            stack.pop_all()
+        return video
+
+    def for_any_of(self, paths: Iterable[str]) -> "Request":
+        """The same request for several inputs, at least one of which uses each given option.
+
+        Files that cannot be opened are left out; the options may be meant for those of a URL.
+        """
+        asked, request = self.given, replace(self, given=frozenset())
+
+        def unused() -> Iterator[Mapping[str, str]]:
+            for path in paths:
+                if store.is_url(path):
+                    yield {}
+                with suppress(DlgmdError), request.open(path) as video:
+                    yield video.unused
+
+        require_used(asked, unused() if asked else ())
+        return request
 
 
 # A model, by anything that `config_of` accepts, or a setup that was chosen before.
-ModelName = int | str | os.PathLike[str] | type | Parameters | Config | Setup
+ModelName = presets.ModelName | Setup
 # Several models.
 ModelNames = list[ModelName] | tuple[ModelName, ...]
 
@@ -170,7 +213,7 @@ def choose_all(
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
     if len(models) == 1 or not param:
-        return [choose(name, param, formulation) for name in models]
+        return requiring_rules([choose(name, param, formulation) for name in models], param)
     unchanged = [choose(name).params for name in models]
     for key in param:
         if not any(key in params.to_dict() for params in unchanged):
@@ -179,6 +222,16 @@ def choose_all(
     for name, params in zip(models, unchanged, strict=True):
         known = {key: value for key, value in param.items() if key in params.to_dict()}
         setups.append(choose(name, known, formulation))
+    return requiring_rules(setups, param)
+
+
+def requiring_rules(setups: list[Setup], param: Mapping[str, Value] | None) -> list[Setup]:
+    """The setups; raises ParameterError if `param` sets the threshold of a rule that none has."""
+    rules = {setup.params.alarm for setup in setups}
+    if all(RULES[name].words for name in rules):  # a rule of one's own may read any parameter
+        others = {f"{name}_alarm" for name in RULES} - {f"{name}_alarm" for name in rules}
+        unused = {key: value for key, value in (param or {}).items() if key in others}
+        refuse(unused, f"has no effect with the rule {' or '.join(sorted(rules))}")
     return setups
 
 
@@ -212,6 +265,8 @@ def at_threshold(
 
 def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
     """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
+    if param is not None and not isinstance(param, Mapping):
+        raise ParameterError("", "param is not a mapping", "Write param={'r': 4}.")
     if alarm is None:
         return dict(param or {})
     with in_argument("alarm"):
@@ -297,7 +352,22 @@ def fold(
         if given.get(name) is None:
             given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
-    return Request(tuple(setups), options_for(repeated, given))
+    return Request(tuple(setups), options_for(repeated, given), conditional(given))
+
+
+def conditional(given: Mapping[str, Any]) -> frozenset[str]:
+    """The given options that not every input uses."""
+    return frozenset(name for name in ONLY_FOR if given.get(name) is not None)
+
+
+def require_measured(setups: Iterable[Setup], options: Mapping[str, Any]) -> None:
+    """Raise ParameterError for options of the camera where no rule needs the expansion.
+
+    For tasks that measure the expansion for rules alone.
+    """
+    if not any(rule_of(setup.params).uses_expansion for setup in setups):
+        of_camera = {name: options.get(name) for name in ("fov", "camera_tilt", "heading")}
+        refuse(of_camera, "has no effect: no rule here uses the expansion")
 
 
 def require_one_each(labels: Sequence[str], n: int, noun: str, hint: str = "") -> None:

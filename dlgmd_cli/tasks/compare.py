@@ -19,6 +19,7 @@ from dlgmd_cli.parameters.facts import (
     Value,
     defined,
     for_json,
+    stating,
 )
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, Annotations
@@ -30,7 +31,7 @@ from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import model_entry, record_text
 from dlgmd_cli.results.result import INFINITE_DISTINGUISHABILITY, Result
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, Setup, no_progress
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS, ModelName, ModelNames, Progress, Setup, no_progress
 from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
 
@@ -193,6 +194,7 @@ class Comparison(Outcome):
         return f"{self.paths[0]} holds {part if self.interrupted else 'the whole result'}"
 
 
+@stating(RUN_ARGUMENTS)
 def compare(
     video: Openable,
     model: ModelName | ModelNames | None = None,

@@ -19,7 +19,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
-from dlgmd_cli.tasks.call import Place, Progress, no_progress
+from dlgmd_cli.tasks.call import Place, Progress, fold, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import DEFAULT_DECODER
 from dlgmd_cli.video.containers import HDR
@@ -86,6 +86,7 @@ def info(
         if len(paths) > 1:
             raise ParameterError("", f"{argument('write_mask')} works with one INPUT")
         store.refuse_existing(mask, overwrite=overwrite, named_by="write_mask")
+    fold(None, None, None, {"decoder": decoder, "topic": topic}).for_any_of(paths)
     surveys: list[Survey] = []
     failed: dict[str, str] = {}
     for path in paths:

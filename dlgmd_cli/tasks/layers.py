@@ -18,7 +18,7 @@ from dlgmd_cli.frame import BgrImage, FloatImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Layers, Response
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.parameters.facts import InputFacts, Value
+from dlgmd_cli.parameters.facts import InputFacts, Value, stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, Table, table_of
 from dlgmd_cli.results.files import LAYER_ARRAYS
@@ -28,7 +28,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sheet import ARRAYS, LayerSheet
 from dlgmd_cli.tasks import call, stepping
-from dlgmd_cli.tasks.call import ModelName, OnFrame, Progress, Request, no_progress
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS, ModelName, OnFrame, Progress, Request, no_progress
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.tasks.describing import build_result, doubts_of, identified
 from dlgmd_cli.video.opening import Openable
@@ -46,6 +46,7 @@ _COMING_BACK = 5
 Range = tuple[float, float]
 
 
+@stating(RUN_ARGUMENTS)
 def layers(
     video: Openable,
     model: ModelName | None = None,
@@ -113,6 +114,7 @@ def layers(
         hint = "Give the frames by name: layers(video, 9, frames=[50, 65])."
         raise ParameterError("", "the second argument is one model", hint)
     request = call.fold(model, formulation, param, options, video)
+    call.require_measured(request.setups, options)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = first_collision(video, collision_frame, collisions)
     formats = store.known_formats(formats, store.LAYERS)

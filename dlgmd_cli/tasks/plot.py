@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable, warn
 from dlgmd_cli.parameters.checks import refuse, require_known
+from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
-from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
+from dlgmd_cli.results.annotations import KINDS, NONE, PLOT_ARGUMENTS, Annotations
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.files import COMPARED, FIGURE_FORMATS
 from dlgmd_cli.results.labels import read_by_video
@@ -37,6 +38,7 @@ ALIGNED = "aligned.csv"
 _MAX_NAME = 100
 
 
+@stating(PLOT_ARGUMENTS)
 def plot(
     results: Result | Comparison | Mapping[str, Result] | Iterable[Result],
     kind: str = "mp",

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, overload
 
 from dlgmd_cli.errors import ParameterError, counted
-from dlgmd_cli.parameters.facts import Value
+from dlgmd_cli.parameters.facts import Value, stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS, ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.stepping import answers_of, require_response
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.writer import refuse_clips
@@ -29,6 +29,7 @@ def run(video: Openable, model: ModelNames, **options: Any) -> list[Result]: ...
 def run(video: Openable, model: ModelName | None = None, **options: Any) -> Result: ...
 
 
+@stating(RUN_ARGUMENTS)
 def run(
     video: Openable,
     model: ModelName | ModelNames | None = None,

@@ -16,11 +16,11 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import Json
+from dlgmd_cli.parameters.presets import ModelName
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells
 from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
-from dlgmd_cli.tasks.call import ModelName
 
 # The parameters in which the paper's sets differ, and the scale of the spikes.
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")

@@ -17,10 +17,12 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, argument, counted
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.checks import refuse
+from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Cells, Table, table_of
 from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.scenes import Scene, Truth, find_scene, invalid
+from dlgmd_cli.scenes import SCENES, Scene, Truth, find_scene, invalid
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
@@ -28,6 +30,7 @@ from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
 _log = logging.getLogger(__name__)
 
 
+@stating({n: f.type for one in SCENES.values() for n, f in one.options().items()})
 def synth(
     scene: str,
     out: str | os.PathLike[str] | None = None,
@@ -64,6 +67,8 @@ def synth(
     >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
     >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     """
+    if options.get("noise") is None:
+        refuse({"seed": options.get("seed")}, f"works only with {argument('noise')}")
     stimulus = find_scene(scene).configured(_of_scene(options))
     truth = table_of(Truth._fields, stimulus.truth())
     clip = RenderedClip(stimulus.name, stimulus.fps, truth)
@@ -126,8 +131,7 @@ def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are set, in the form for scenes: sizes are (H, W)."""
     given = {name: value for name, value in options.items() if value not in (None, ())}
     if "size" in given:
-        size_wh = given["size"]
-        given["size"] = (parse_size(size_wh) if isinstance(size_wh, str) else size_wh)[::-1]
+        given["size"] = parse_size(given["size"])[::-1]
     return given
 
 

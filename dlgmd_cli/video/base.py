@@ -208,14 +208,20 @@ def require_memory() -> None:
 
 
 def _numbers(pattern: str, text: Any) -> list[int]:
-    """The whole numbers in place of each N of `pattern`; empty if the text does not match."""
+    """The whole numbers in place of each N of `pattern`; empty if the text does not match.
+
+    The numbers themselves may be given in place of a text.
+    """
+    if isinstance(text, tuple):
+        is_fitting = len(text) == pattern.count("N") and all(type(part) is int for part in text)
+        return [*text] if is_fitting and min(text) >= 0 else []
     numbers = pattern.replace("N", r"(\d{1,6})")
     match = isinstance(text, str) and re.fullmatch(numbers, text.strip(), re.ASCII)
     return [int(number) for number in match.groups()] if match else []
 
 
-def parse_size(text: Any) -> tuple[int, int]:
-    """`480x270` -> (480, 270); raises ParameterError."""
+def parse_size(text: Any, name: str = "") -> tuple[int, int]:
+    """`480x270` -> (480, 270), as a pair; raises ParameterError."""
     sides = _numbers("N[x×X]N", text)
     if not sides:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
@@ -229,8 +235,8 @@ def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
     return size_wh
 
 
-def parse_crop(text: Any) -> Crop:
-    """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
+def parse_crop(text: Any, name: str = "") -> Crop:
+    """`640x360+0+60` -> Crop(640, 360, 0, 60), as four numbers; raises ParameterError."""
     numbers = _numbers(r"N[x×X]N\+N\+N", text)
     if not numbers or not numbers[0] or not numbers[1]:
         hint = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."

@@ -6,6 +6,7 @@ This module does not import NumPy: the commands' help uses it and must be fast.
 import hashlib
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -39,14 +40,17 @@ SPECS = {
 }
 
 
-def _size(value: Any, name: str) -> tuple[int, int]:
-    """A size in px, (width, height), from a pair or a text."""
-    return value if isinstance(value, tuple) else parse_size(value)
-
-
-def _crop(value: Any, name: str) -> Crop:
-    """A rectangle, from a `Crop` or a text."""
-    return value if isinstance(value, Crop) else parse_crop(value)
+def parse_time(value: Any, name: str = "") -> float:
+    """A time in seconds, from a number or a text: `00:01:30.250` -> 90.25."""
+    if isinstance(value, str):
+        clock = r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)"
+        match = re.fullmatch(clock, value.strip(), re.ASCII)
+        if match is None or (match[2] and float(match[3]) >= 60.0):
+            why = f"{f'{name} = ' if name else ''}{shown(value)} is not a time"
+            raise ParameterError("", why, "Write 12.5 or 00:01:30.250.")
+        hours, minutes, seconds = (float(part or 0) for part in match.groups())
+        value = hours * 3600 + minutes * 60 + seconds
+    return float(SPECS["start"].check(value, name))
 
 
 def _path(value: Any, name: str) -> str:
@@ -59,8 +63,10 @@ def _path(value: Any, name: str) -> str:
 # Name -> check of a value, which returns the value as it is stored.
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     **{name: spec.check for name, spec in SPECS.items()},
-    "size": _size,
-    "crop": _crop,
+    "start": parse_time,
+    "end": parse_time,
+    "size": parse_size,
+    "crop": parse_crop,
     "mask": _path,
     "heading": _path,
     "times": _path,
@@ -172,6 +178,16 @@ class InputOptions:
         if self.crop is not None:
             values["crop"] = str(self.crop)
         return values
+
+
+# Name -> type of the options as arguments of a function.
+INPUT_ARGUMENTS: dict[str, Any] = {
+    **{option.name: option.type for option in fields(InputOptions) if option.name in CHECKS},
+    **dict.fromkeys(("start", "end"), float | str | None),
+    **dict.fromkeys(_FILES, str | os.PathLike[str] | None),
+    "size": str | tuple[int, int] | None,
+    "crop": str | tuple[int, int, int, int] | None,
+}
 
 
 def _digest(path: str | None) -> str | None:

@@ -347,6 +347,9 @@ class LiveSource:
                 size_wh=self.options.size,
                 width_px=self.width_px,
             )
+            if self.options.size is not None and (why := region.lacks(self.size_wh)):
+                why = f"{argument('size')} has no effect: {why}"
+                raise ParameterError("", why, "Leave it out.")
         if region is not self.region:
             region.hidden(self.size_wh)  # raises ParameterError if no cell is left
             self._continuity.begin(region.hidden(region.size_wh), shot.levels)

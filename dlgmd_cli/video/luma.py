@@ -23,12 +23,14 @@ class Decoder(Protocol):
     `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
     `takes_every_frame` says whether every frame is processed by default, as for images and arrays.
     By default, videos are reduced to the rate a model is designed for, without duplicates.
+    `uses` are the options that apply only to some inputs, and to this one.
     """
 
     info: SourceInfo
     kind: str
     is_damaged: bool
     takes_every_frame: bool
+    uses: tuple[str, ...]
 
     def stamps(self) -> Iterator[float]:
         """Step through the frames; yields the time of each in seconds, NaN if unknown."""
@@ -226,6 +228,11 @@ class Region:
     def of(self, image: Image) -> Image:
         """The rectangle of an image, (H, W) or (H, W, 3); a view."""
         return image[self._place]
+
+    def lacks(self, size_wh: tuple[int, int]) -> str:
+        """Why frames cannot have this size, larger than the rectangle; empty if they can."""
+        is_within = all(asked <= own for asked, own in zip(size_wh, self.size_wh, strict=True))
+        return "" if is_within else "the input has only {}x{} px".format(*self.size_wh)
 
     def hidden(self, size_wh: tuple[int, int]) -> Flags | None:
         """The hidden cells, (H, W) bool, of the rectangle at `size_wh`; None if there are none.

@@ -49,6 +49,7 @@ class OpenCVDecoder:
 
     kind = "opencv"
     takes_every_frame = False
+    uses: tuple[str, ...] = ("decoder",)
 
     def __init__(self, name: str) -> None:
         self.is_damaged = False

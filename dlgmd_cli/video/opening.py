@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -39,7 +39,7 @@ from dlgmd_cli.video.images import (
     load_array,
     pictures_at,
 )
-from dlgmd_cli.video.input_options import SPECS, InputOptions
+from dlgmd_cli.video.input_options import SPECS, InputOptions, parse_time
 from dlgmd_cli.video.luma import Decoder, Region, read_mask
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder, packet_times
 from dlgmd_cli.video.pyav_decoder import PyAVDecoder, details_of, has_av, import_av
@@ -62,6 +62,14 @@ _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
 _FEW = 0.75
 # Number of bytes of a file that are hashed at a time.
 _HASHED_BYTES = 1 << 20
+# Option -> the inputs that use it. Every other option applies to all inputs.
+ONLY_FOR = {
+    "decoder": "video files alone have a choice of decoder",
+    "topic": "ROS bags alone have topics",
+    "bit_depth": "it is for samples of 16 bits",
+    "size": "",
+    "mask": "",
+}
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
 PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
@@ -70,10 +78,10 @@ def open_video(
     path: Openable,
     *,
     scale: float | None = None,
-    size_wh: tuple[int, int] | None = None,
+    size_wh: tuple[int, int] | str | None = None,
     width_px: int = DEFAULT_WIDTH_PX,
-    start_s: float = 0.0,
-    end_s: float = math.inf,
+    start_s: float | str = 0.0,
+    end_s: float | str = math.inf,
     max_fps: float | None = None,
     model_fps: float | None = None,
     repeats: str | None = "keep",
@@ -155,8 +163,10 @@ def open_video(
     MissingExtraError
         If the input needs PyAV, which is not installed.
     """
-    if isinstance(crop, str):
-        crop = base.parse_crop(crop)
+    crop = None if crop is None else base.parse_crop(crop)
+    size_wh = None if size_wh is None else base.parse_size(size_wh)
+    start_s = start_s if start_s == 0.0 else parse_time(start_s)
+    end_s = end_s if end_s == math.inf else parse_time(end_s)
     masked = None if mask is None else read_mask(os.fspath(mask))
     Selection(start_s, end_s)  # raises before the input is opened
     if max_fps is not None and not max_fps > 0.0:
@@ -195,12 +205,44 @@ def open_video(
         given=given,
         file_fps=file_fps,
     )
+    video.unused = _unused(opened, decoder, size_wh, region)
     video.progress.warnings += _remarks(opened, None if input_fps or given else fps)
     if max_fps is None and model_fps and every > 1 and fps / every < _FEW * model_fps:
         left = f"one frame of {every} is read, {fps / every:.3g} a second of {fps:.3g}"
         every_frame = f"{argument('fps')} all reads every frame"
         video.progress.warnings.append(f"{left}; {every_frame}")
     return video
+
+
+def _unused(
+    opened: Decoder, decoder: str, size_wh: tuple[int, int] | None, region: Region
+) -> dict[str, str]:
+    """The options without effect on an open input, and why."""
+    uses = {*opened.uses, *(("bit_depth",) if opened.info.levels[1] > FULL[1] else ())}
+    unused = {name: why for name, why in ONLY_FOR.items() if why and name not in uses}
+    if "decoder" in uses and opened.kind != decoder:
+        unused["decoder"] = "PyAV reads this input, which OpenCV would misread"
+    if size_wh is not None and (why := region.lacks(size_wh)):
+        unused["size"] = why
+    if region.masked is not None and not region.masked.any():
+        unused["mask"] = "none of its pixels is black"
+    return unused
+
+
+def require_used(given: Collection[str], inputs: Iterable[Mapping[str, str]]) -> None:
+    """Raise ParameterError for an option that was given and that no input uses.
+
+    `inputs` are the `Video.unused` of each, read as far as necessary.
+    """
+    left, reasons = set(given), dict[str, str]()
+    for unused in inputs:
+        left &= unused.keys()
+        reasons = {**unused, **reasons}
+        if not left:
+            return
+    for name in sorted(left if reasons else ()):
+        why = f"{argument(name)} has no effect: {reasons[name]}"
+        raise ParameterError("", why, "Leave it out.")
 
 
 def _info(
@@ -309,7 +351,8 @@ def _source(
     if not isinstance(path, str | os.PathLike):
         if not isinstance(path, Iterable):
             what = type(path).__name__
-            raise ParameterError("", f"expected a path or images, not {what}", "Give a video.")
+            hint = "A camera is for live." if isinstance(path, int) else "Give a video."
+            raise ParameterError("", f"expected a path or images, not {what}", hint)
         return NAME, NAME, partial(ArrayDecoder, path, fps)
     file, where = Path(path), os.path.abspath(path)
     if not os.fspath(path):

@@ -67,6 +67,7 @@ class PyAVDecoder:
 
     kind = "pyav"
     takes_every_frame = False
+    uses: tuple[str, ...] = ("decoder",)
 
     def __init__(self, name: str, *, deinterlaces: bool = False, probes: bool = False) -> None:
         av = import_av()

@@ -4,12 +4,13 @@ import copy
 import math
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
@@ -156,7 +157,11 @@ class Video:
         Width and height of the crop, or of the whole image, in px.
     progress : ReadProgress
         Number of frames decoded so far, time of the last one, and warnings.
+    unused : dict of str to str
+        The options that would have no effect on the input, and why.
     """
+
+    unused: Mapping[str, str] = MappingProxyType({})
 
     def __init__(
         self,

@@ -13,9 +13,10 @@ from dlgmd_cli import Alarm, Rule
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
-from dlgmd_cli.parameters.facts import Json, Value, finite
+from dlgmd_cli.parameters.checks import refuse
+from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.tasks.call import ModelName, Request, Setup, fold
+from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
 from dlgmd_cli.video.base import without_password
 from dlgmd_cli.video.input_options import InputOptions
@@ -31,8 +32,15 @@ from dlgmd_cli.watch.watch import OUTPUT_LOST, Answer, SourceState, Watch
 
 # The speed of --speed-m-s that the autopilot reports.
 AUTOPILOT = "autopilot"
-# The options of a stop.
+# The options of a stop, of an autopilot, and of a recording.
 _STOP = ("react", "brake", "tilt", "jerk")
+_OF_MAVLINK = ("mavlink_signing", "mavlink_system", "mavlink_component")
+_OF_RECORD = ("keep_video", "keep_last", "overwrite")
+_PIPE = "Write - as the source."
+
+
+# The options of an input that apply to live ones; the others apply to files alone.
+_OF_INPUT = ["size", "scale", "fps", "crop", "mask", "repeats", "fov", "camera_tilt", "alarm"]
 
 
 @dataclass(frozen=True)
@@ -108,11 +116,10 @@ class LiveOptions:
                 (name, "mavlink_brake", brakes, "")
                 for name in ("mavlink_modes", "mavlink_brake_mode")
             ),
-            ("mavlink_signing", "mavlink", self.mavlink, ""),
-            ("keep_video", "record", self.record, ""),
-            ("keep_last", "record", self.record, ""),
+            *((name, "mavlink", self.mavlink, "") for name in _OF_MAVLINK),
+            *((name, "record", self.record, "") for name in _OF_RECORD),
             ("loop", "realtime", self.realtime, ""),
-            ("lockstep", "a pipe", source == "-", "Write - as the source."),
+            *((name, "a pipe", source == "-", _PIPE) for name in ("lockstep", "pixel_format")),
             ("input_fps", "lockstep", self.lockstep, ""),
             *((name, "speed_m_s", self.speed_m_s, "") for name in _STOP),
         )
@@ -204,8 +211,10 @@ class Watching:
     page_url: str = ""
 
 
+@stating({name: RULE_ARGUMENTS[name] for name in _OF_INPUT})
+@stating(LiveOptions)
 def live(
-    source: str,
+    source: int | str,
     model: ModelName | None = None,
     *,
     on_answer: Callable[[Answer], object] | None = None,
@@ -249,9 +258,14 @@ def live(
     --------
     >>> live("0", 9, serve="8000", on_answer=print)  # doctest: +SKIP
     """
-    own = {one.name for one in fields(LiveOptions)}
+    source, own = str(source), {one.name for one in fields(LiveOptions)}
     chosen = LiveOptions(**{name: options.pop(name) for name in own & options.keys()})
     chosen.check(source)
+    if not chosen.realtime:
+        others = {
+            name: options[name] for name in RULE_ARGUMENTS.keys() & options.keys() - {*_OF_INPUT}
+        }
+        refuse(others, f"works only with {argument('realtime')}, which plays a file")
     request = fold(model, None, param, {**options, "threshold": chosen.threshold})
     reports = Reports()
     setup, threshold_at = _at_speed(request.setup, chosen, reports)
@@ -272,7 +286,7 @@ def live(
             recording = stack.enter_context(context)
             puts.append(recording.put)
         if chosen.serve is not None:
-            page = stack.enter_context(_page(chosen.serve, frames, statistics, alarm))
+            page = stack.enter_context(_page(str(chosen.serve), frames, statistics, alarm))
             puts.append(page.put)
             url = page.url
         puts += [] if on_answer is None else [on_answer]

@@ -105,7 +105,7 @@ def test_arguments_too_many_are_not_alllisted(dlgmd):
 
 def test_a_command_that_is_not_there(dlgmd):
     result = dlgmd("rum")
-    assert result.exit_code == 2 and "Did you mean 'run'?" in result.stderr
+    assert result.exit_code == 2 and "Did you mean 'dlgmd run'?" in result.stderr
     assert dlgmd("xyzzy").exit_code == 2
 
 

@@ -15,10 +15,10 @@ WRONG_USAGE = [
     ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
     ("run loom.avi --set fligt", "there is no set fligt. Did you mean 'flight'? Choose 1 to 9, f"),
     # Each of the three options takes one kind of name.
-    ("run loom.avi --set lgmd", "'--set': 'lgmd' is a model. Write --model lgmd."),
+    ("run loom.avi --set lgmd", "'--set': 'lgmd' is a model. Did you mean '--model lgmd'?"),
     ("run loom.avi --set my.yaml", "'my.yaml' is a file. Write --config my.yaml."),
-    ("compare loom.avi --config flight", "'flight' is a preset. Write --set flight."),
-    ("export --model 9", "'--model': '9' is a set. Write --set 9."),
+    ("compare loom.avi --config flight", "'flight' is a preset. Did you mean '--set flight'?"),
+    ("export --model 9", "'--model': '9' is a set. Did you mean '--set 9'?"),
     ("sweep --x a=1 --y r=2 --model my.yaml", "'my.yaml' is a file. Write --config my.yaml."),
     ("run loom.avi --param formulation=released", "not one of default, released-2021"),
     ("sets 9 --plot x.gif", "'x.gif' is no figure. Write kernels.png, .pdf or .svg."),
@@ -58,7 +58,7 @@ WRONG_USAGE = [
     ("compare loom.avi --label=", "'--label': must not be empty."),
     ("layers loom.avi --overlay", "--overlay works only with --video. Add --video film.mp4."),
     ("layers loom.avi --npz --video x.mp4", "--npz writes the layers of --frames."),
-    ("layers loom.avi --frames 1,,2", "'' is not a frame number. Write 1,50,65."),
+    ("layers loom.avi --frames 1,,2", "'' is not a frame number. Did you mean '--frames 1,2'?"),
     ("layers loom.avi --frames 0,1,2,3,4,5,6,7,8,9,10,11,12", "13 frames are too many for one"),
     ("layers loom.avi --video x.avi", "'x.avi' does not end in .mp4. Write film.mp4."),
     ("sweep --x a=1 --y r", "Invalid value for '--y': 'r' is not an axis"),
@@ -169,11 +169,11 @@ WRONG_USAGE = [
     ("synth looming-cube --fps 119.999", "MPEG-4 cannot hold 119.999"),
     # Common mistakes, and what to type instead.
     ("loom.avi", "no such command 'loom.avi'. Did you mean 'dlgmd run loom.avi'?"),
-    ("run loom.avi -set 9", "No such option '-set'. Did you mean '--set'?"),
-    ("batch . -param r=4", "No such option '-param'. Did you mean '--param'?"),
+    ("run loom.avi -set 9", "Did you mean '--set'?"),
+    ("batch . -param r=4", "Did you mean '--param'?"),
     ("run loom.avi --param r 4", "--param takes KEY=VALUE. Did you mean '--param r=4'?"),
     ("run loom.avi 'b c.mp4'", "run takes one INPUT. Did you mean 'dlgmd batch loom.avi 'b c.mp4'"),
-    ("run loom.avi --threshold high", "'--threshold': 'high' is not a valid float"),
+    ("run loom.avi --threshold high", "'--threshold': 'high' is not a number"),
     ("run loom.avi --threshold -1", "'--threshold': expansion_alarm = -1"),
     ("batch . --set 9 --threshold 2", "'--threshold': t_mp = 2"),
     ("evaluate l.csv --results x --threshold 1", "--threshold does not work with --results"),
@@ -217,11 +217,11 @@ FAILURES = [
     ("live /dev/video9999", "there is no such camera"),
     ("live nothing.mp4 --realtime", "nothing.mp4"),
     ("run loom.avi --log no/a.log", "--log: no/a.log: cannot be written (No such file or dir"),
-    ("batch none", "none: cannot be read (No such file"),
+    ("batch nowhere", "nowhere: cannot be read (No such file"),
 ]
 PAGES = [
     ("view bare", "contains no result (no run.yaml or compare.yaml)"),
-    ("view none", "there is no such folder"),
+    ("view nowhere", "there is no such folder"),
     ("view bare --labels missing.csv", "missing.csv"),
 ]
 # A package that is not there, and the extra that has it.

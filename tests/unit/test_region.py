@@ -147,9 +147,10 @@ def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, her
     (tmp_path / "in").mkdir()
     clip = write_video(tmp_path / "in" / "a.avi", looming_frames(width=64, height=48))
     command = ("batch", clip.parent, "--mask", mask, "--format=none", "--jobs", 1)
-    cv2.imwrite(str(mask), np.full((4, 4), 255, np.uint8))
-    assert dlgmd(*command).exit_code == dlgmd(*command).exit_code == 0
     image = np.full((4, 4), 255, np.uint8)
+    image[3] = 0
+    cv2.imwrite(str(mask), image)
+    assert dlgmd(*command).exit_code == dlgmd(*command).exit_code == 0
     image[0] = 0
     cv2.imwrite(str(mask), image)
     result = dlgmd(*command)

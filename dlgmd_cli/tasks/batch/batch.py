@@ -23,7 +23,7 @@ from dlgmd_cli.machine.pool import DONE, TaskEnd
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.checks import refuse
-from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.facts import Json, Value, stating
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import Cell, Cells
 from dlgmd_cli.results.names import frames_text
@@ -41,7 +41,16 @@ from dlgmd_cli.tasks.batch.video import (
     error_row,
     run_video,
 )
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Place, Progress, Request, Setup, no_progress
+from dlgmd_cli.tasks.call import (
+    RULE_ARGUMENTS,
+    ModelName,
+    ModelNames,
+    Place,
+    Progress,
+    Request,
+    Setup,
+    no_progress,
+)
 from dlgmd_cli.video.writer import refuse_clips
 
 if TYPE_CHECKING:
@@ -63,6 +72,7 @@ _MAX_ROWS = 60
 _READERS = 8
 
 
+@stating(RULE_ARGUMENTS)
 def batch(
     folders: Place | Iterable[Place],
     model: ModelName | ModelNames | None = None,
@@ -154,6 +164,7 @@ def batch(
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     listing = _find([os.fspath(root) for root in roots], outs, exclude)
+    request = request.for_any_of(video.path for video in listing.videos)
     if clips is not None:
         store.require_local(clips, "clips")
         clips = os.path.abspath(clips)
@@ -192,7 +203,7 @@ def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Request:
             why = "its recorded options differ from those of the other models"
             hint = "Give them on the command line, or run this model alone."
             raise errors.ParameterError(setup.config.name, why, hint)
-    return Request(tuple(setups), every[0])
+    return Request(tuple(setups), every[0], call.conditional(given))
 
 
 def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> VideoListing:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, counted
+from dlgmd_cli.errors import DlgmdError, ParameterError, argument, counted
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.own_rules import Stored
-from dlgmd_cli.models.stopping import BRAKES, brake_of, speed_of
+from dlgmd_cli.models.stopping import BRAKES, Brake, brake_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
-from dlgmd_cli.parameters.facts import Json, Value, finite
+from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
@@ -28,7 +28,7 @@ from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.scoring import OUTCOMES, Differences, Tally, scores_json
 from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
-from dlgmd_cli.tasks.call import ModelName, ModelNames, Progress, no_progress
+from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.evaluate import tables
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
@@ -52,6 +52,7 @@ _MIN_CONTACTS = 10
 _RATE = Spec(float, 0, math.inf)
 
 
+@stating(RULE_ARGUMENTS)
 def evaluate(
     labels: str | os.PathLike[str],
     model: ModelName | ModelNames | None = None,
@@ -141,6 +142,10 @@ def evaluate(
         refuse({**given, **options}, "does not work with results, which are there already")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
+    has_speed = speed is not None or any(one.speed_m_s for case in cases for one in case.labels)
+    if stopping.brake != Brake() and not has_speed:
+        why = "the options of a stop have no effect: no contact has a speed"
+        raise ParameterError("", why, f"Add {argument('speed_m_s')}, or a column speed_m_s.")
     with ExitStack() as opened:
         if out is not None:
             names = Evaluation.own_files(formats)
@@ -151,6 +156,7 @@ def evaluate(
         else:
             param = call.with_rule(param, options.pop("alarm", None))
             request = call.fold(model, formulation, param, options)
+            request = request.for_any_of(case.path for case in cases)
             setups = call.with_folder_labels(call.with_keys(request.setups, param))
             for setup in setups:
                 create_model(setup.params)  # raises now if a custom model cannot be created

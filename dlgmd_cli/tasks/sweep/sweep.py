@@ -37,6 +37,7 @@ from dlgmd_cli.parameters.facts import (
     Value,
     extended,
     flat,
+    stating,
 )
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
@@ -51,7 +52,7 @@ from dlgmd_cli.tasks.describing import identified, input_record
 from dlgmd_cli.tasks.stepping import too_short
 from dlgmd_cli.tasks.sweep.sweep_result import SweepResult, Sweeps
 from dlgmd_cli.video.base import input_name, is_pattern
-from dlgmd_cli.video.input_options import InputOptions
+from dlgmd_cli.video.input_options import INPUT_ARGUMENTS, InputOptions
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.source import KeptFrames, Video, read_ahead
 
@@ -73,6 +74,7 @@ Point = tuple[int, Parameters]
 PointValues = list[tuple[float, ...]]
 
 
+@stating(INPUT_ARGUMENTS)
 def sweep(
     video: Openable | None = None,
     model: ModelName | None = None,
@@ -137,7 +139,7 @@ def sweep(
     (4, 6, 10)
     """
     speeds_px = tuple(dict.fromkeys(speed))
-    others = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
+    others: dict[str, object] = {"speed": speeds_px, "cube_size": cube_size, "frames": frames}
     if video is None:
         others = {**options, "size": None, "false_positive_frame": false_positive_frame}
     refuse(others, f"works only {'with an INPUT' if video is None else 'without INPUT'}")
@@ -149,6 +151,7 @@ def sweep(
         of_fig_11 = call.choose(call.DLGMD, {**FIG_11, **(param or {})}, formulation)
         model = replace(of_fig_11, label="Fig. 11")
     request = call.fold(model, formulation, param, options, video).by_spikes()
+    call.require_measured(request.setups, options)
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), param or {}, formulation)
     with ExitStack() as opened:
@@ -181,6 +184,7 @@ def sweep(
     return result
 
 
+@stating(sweep)
 def sweeps(
     videos: Sequence[str | os.PathLike[str]],
     model: ModelName | None = None,
