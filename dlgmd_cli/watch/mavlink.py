@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import Once, ParameterError, argument
+from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import MAX_SPEED_M_S, Autopilot, Mode, dialect
 from dlgmd_cli.watch.brake import Brake
@@ -198,7 +199,8 @@ class Mavlink:
 
     def _objection(self) -> str:
         """A reason not to command now that does not come from the autopilot; empty for none."""
-        if self._reason:
+        # What an alarm has raised is right, also if the expansion is not measured after it.
+        if self._reason not in ("", UNMEASURED):
             return f"blind, {self._reason}"
         if len(self._places_of_pilot()) > 1:
             return "two addresses speak for the autopilot"

@@ -2,9 +2,11 @@
 
 import ctypes
 import json
+import math
 import re
 import shutil
 import subprocess
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,9 @@ from conftest import looming_frames
 from exported import (
     ALARM,
     EXPANSION,
+    NAMES,
     PLACE,
+    QUALITY,
     address,
     answers_of_c,
     answers_of_python,
@@ -27,7 +31,7 @@ from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.microcontroller.export import Export
 from dlgmd_cli.models.expansion import Expansion
-from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
+from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health, Measuring
 from dlgmd_cli.models.prepare import Flicker
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.presets import load_config, parameters_of
@@ -195,6 +199,28 @@ def wall(width, height, t, light=1.0):
     y, x = ((at - n / 2) / 1.05 ** (t - 10) for at, n in ((rows, height), (columns, width)))
     levels = 120 + 40 * np.sin(y / 2.1) * np.cos(x / 2.7) + 20 * np.sin(x / 5)
     return np.rint(np.minimum(levels * light, 255)).astype(np.uint8)
+
+
+@needs_cc
+@pytest.mark.parametrize("steps_ms", [(0,), (33, 33, 34), (100,)])
+def test_unmeasured_is_that_of_python(tmp_path, steps_ms):
+    """To a frame, by the quality that C measures; never during an alarm, and not for spikes."""
+    plain = [np.full((54, 96), 128, np.uint8)] * 40
+    frames = [*plain, *(wall(96, 54, t) for t in range(24)), *plain]
+    answers = answers_of_c(Export(FLIGHT, 96, 54), tmp_path, frames, steps_ms)
+    measuring, times_ms = Measuring(), np.cumsum([*islice(cycle(steps_ms), len(frames))])
+    right = [
+        measuring.step(quality, time_ms / 1000.0 if steps_ms[0] else math.nan) and not alarm
+        for quality, time_ms, alarm in zip(
+            answers[:, QUALITY], times_ms, answers[:, ALARM], strict=True
+        )
+    ]
+    told = answers[:, NAMES.index("unmeasured")]
+    assert told.tolist() == right and told[39] and not told[60] and told[-1]
+    (folder := tmp_path / "spikes").mkdir()
+    params = parameters_of(load_config("flight"), {"alarm": "spikes"})
+    spikes = answers_of_c(Export(params, 96, 54), folder, frames, steps_ms)
+    assert not spikes[:, NAMES.index("unmeasured")].any()
 
 
 def lamp_frames(width, height):

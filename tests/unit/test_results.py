@@ -51,6 +51,7 @@ def test_summary():
         "first_alarm_time_s": 17 / 25,
         "first_alarm_side": None,  # no centroid is known
         "first_alarm_ttc_s": None,
+        "blind_share": 0.0,
         "mean_attenuation_db": pytest.approx(-70 / 7),
         "attenuation_frames": 7,
         "median_attenuation_db": -6.5,
