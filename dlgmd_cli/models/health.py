@@ -144,12 +144,13 @@ class Health:
 class Measuring:
     """Says whether the expansion cannot be measured, in constant memory.
 
-    That is so once its quality has been below `LEAST_MEASURED` for `BLIND_S`, and until it
-    is not. Gaps do not end this time, and a frame without a quality continues it: the first frames
-    after a gap are too few to measure, and too short a time to be reported.
+    That is so once its quality has been below `least` for `lasts_s` (s), and until it is not. Gaps
+    do not end this time, and a frame without a quality continues it: the first frames after a gap
+    are too few to measure, and too short a time to be reported.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, least: float = LEAST_MEASURED, lasts_s: float = BLIND_S) -> None:
+        self._least, self._lasts_s = least, lasts_s
         self.reset()
 
     def reset(self) -> None:
@@ -161,11 +162,11 @@ class Measuring:
         if math.isnan(time_s):
             time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
         self._now_s = time_s
-        if quality >= LEAST_MEASURED:
+        if quality >= self._least:
             self._low_s = math.nan
         elif not self._low_s <= time_s:  # also if the clock was set back
             self._low_s = time_s
-        return time_s - self._low_s >= BLIND_S - ROUNDING_S
+        return time_s - self._low_s >= self._lasts_s - ROUNDING_S
 
 
 def _quantile(values: npt.NDArray[np.float32], share: float) -> float:
