@@ -60,7 +60,8 @@ class Answer:
     frame : Frame or None
         The frame; for an event between frames, the previous frame, if any.
     detection : Detection
-        What the frame gave; for an event between frames, only the rule, and whether an alarm is on.
+        What the frame gave; for an event between frames, only the rule, the reason, and whether an
+        alarm is on.
     event : str
         `begin` or `end` of an alarm; `blind` when the source begins to show nothing (also when the
         reason changes); `sees` when the source shows something again; an event that a receiver
@@ -369,7 +370,7 @@ class Watch:
         first_s = math.nan if latest is None else latest.captured_s - latest.time_s
         return Answer(
             latest,
-            Detection(alarm=alarm, rule=self._alarm.rule.name),
+            Detection(alarm=alarm, rule=self._alarm.rule.name, blind=self._state.reason),
             event=event,
             reason=self._state.reason,
             span=span,

@@ -806,7 +806,7 @@ dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t st
     state->spikes = answer.spike ? state->spikes + 1 : 0;
     answer.alarm = state->spikes >= N_SP;
 #else
-    answer.unmeasured = !answer.alarm && is_unmeasured(state, step_us);
+    answer.unmeasured = is_unmeasured(state, step_us) && !answer.alarm;
 #endif
     return answer;
 }
