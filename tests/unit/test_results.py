@@ -149,6 +149,17 @@ def test_a_result_says_which_angles_of_the_camera_are_assumed():
         assert dict(next(result.shown())[1])["camera"] == text
 
 
+def test_the_time_without_an_all_clear_is_told():
+    result = make_result([0.0] * 51)
+    assert result.blind_share == 0.0 and not result.blind_spans
+    result.rows["blind"][10:20], result.rows["blind"][30:45] = "unmeasured", "black"
+    assert result.blind_spans == [(10, 19, "unmeasured"), (30, 44, "black")]
+    assert result.summary["blind_share"] == pytest.approx(0.5)
+    (_, rows), *_ = result.shown()
+    text = "unmeasured, black: 50.0 % of the time, longest from 1.200 to 1.760 s"
+    assert dict(rows)["no all-clear"] == text
+
+
 def test_the_longest_stretch_that_is_held_back_is_told():
     result = make_result([0.0] * 70)
     result.rows["expansion"][14:20], result.rows["expansion"][30:45] = 2.0, 3.0  # 0.2 s, 0.56 s
