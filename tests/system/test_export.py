@@ -298,8 +298,8 @@ def sights(width, height):
 def test_health_is_that_of_python(tmp_path):
     """Each reason, when it begins and ends, to a frame; for odd sizes, too."""
     names = (None, BLACK, FLAT, NOISE, FROZEN)
-    for width, height, step_ms in ((64, 48, 33), (57, 43, 0)):
-        (folder := tmp_path / str(width)).mkdir()
+    for width, height, step_ms in ((64, 48, 33), (57, 43, 0), (64, 48, 170)):
+        (folder := tmp_path / f"{width} {step_ms}").mkdir()
         c, health = compiled(Export(SMALL, width, height), folder), Health()
         sight, time_ms = (ctypes.c_uint32 * (width * height))(), 0
         c.dlgmd_health_reset(sight)
