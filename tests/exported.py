@@ -11,6 +11,7 @@ import pytest
 from dlgmd_cli import Alarm
 from dlgmd_cli.microcontroller.export import C_RULES, NUMBERS, sources
 from dlgmd_cli.models.expansion import Expansion
+from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.rules import LEAST_QUALITY
 from dlgmd_cli.models.windows import Camera
 
@@ -20,7 +21,7 @@ needs_cc = pytest.mark.skipif(
 )
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Werror"
 # The fields of `dlgmd_answer`, and where they are in a row of answers.
-FLAGS = ("valid", "spike", "alarm", "rule", "has_ttc")
+FLAGS = ("valid", "spike", "alarm", "rule", "has_ttc", "unmeasured")
 NAMES = (*FLAGS, *NUMBERS)
 ALARM, MP, MP_ABS, EXPANSION = map(NAMES.index, ("alarm", "mp", "mp_abs", "expansion"))
 QUALITY, TTC_S, PLACE = EXPANSION + 2, EXPANSION + 3, slice(EXPANSION + 4, None)
@@ -74,7 +75,7 @@ def _compiled(texts, folder, n_earlier):
 
 
 def answers_of_c(export, folder, frames, steps_ms=(0,), headings=(None,), n_earlier=1):
-    """What the compiled model answers: columns as `NAMES`, (n, 15) float64.
+    """What the compiled model answers: columns as `NAMES`, (n, 16) float64.
 
     `steps_ms` are the times between frames, again and again, and `headings` the directions of
     flight in degrees, None for what the last one was. It keeps `n_earlier` frames.
@@ -119,6 +120,7 @@ def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CA
         time_ms += step_ms
         one = alarm.step(frame, time_ms / 1000.0 if step_ms else None)
         flags = one.is_valid, one.spike, one.alarm, C_RULES.index(one.rule), one.ttc_s > 0
+        flags += (one.blind == UNMEASURED,)
         rows.append([*flags, *np.nan_to_num([getattr(one, name) for name in NUMBERS])])
     return np.array(rows, float)
 

@@ -71,7 +71,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--exec",
     metavar="CMD",
     help="Start a program at each event. The object is in its environment: DLGMD_EVENT is begin, "
-    "end, blind, sees and so on, DLGMD_REASON is lost, black, flat, noise or frozen.",
+    "end, blind, sees and so on, DLGMD_REASON is lost, black, flat, noise, frozen or unmeasured.",
 )
 @receiver_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
 @autopilot_option(
@@ -180,9 +180,9 @@ def live(source: str, **chosen: Any) -> None:
     Objects with the key event report events. begin: an alarm begins; side is its image region
     (left, ahead or right third, with high or low). end: the alarm has ended, with side, duration_s,
     peak_signal and peak_mp_abs. Pauses under 0.3 s do not end an alarm: end is reported 0.3 s late.
-    blind: the source is lost or its frames show nothing (reason: lost, black, flat, noise or
-    frozen; since_s: the time of the first such frame). sees: the source has recovered for half a
-    second.
+    blind: the source is lost, its frames show nothing, or the expansion cannot be measured (reason:
+    lost, black, flat, noise, frozen or unmeasured; since_s: the time of the first such frame).
+    sees: the source has recovered, or the expansion is measured again.
     output-lost: stdout is closed.
     """
     import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C

@@ -118,7 +118,6 @@ _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
 NO_FIGURES = "none"
 
-
 # Suffixes of files: a path with one of them is not a folder for results.
 _ENDINGS = """
     avi bmp csv eps gif htm html jpeg jpg json mkv mov mp4 npy npz pdf png ps svg tif tiff txt webm

@@ -22,6 +22,7 @@ from dlgmd_cli.models.alarm import Alarm
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD, MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.expansion import LEAST_QUALITY
+from dlgmd_cli.models.health import BLIND_S, LEAST_MEASURED
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import (
@@ -250,7 +251,7 @@ class Export(Outcome):
         if expands:
             work = max(work, self._track_bytes())
             # Data about the light of the frames.
-            scalars += 32 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
+            scalars += 36 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         kept = self.n_cells + (4 + 4 * self.height * evens) * expands
@@ -330,6 +331,8 @@ class Export(Outcome):
             # Rates at which the weights of old measurements decay, 1/s.
             "AHEAD_RATE": 1.0 / expansion.TAU_S,
             "LEAST_QUALITY": LEAST_QUALITY,
+            "LEAST_MEASURED": LEAST_MEASURED,
+            "BLIND_S": BLIND_S,
             "LEAST_SHOWN": LEAST_SHOWN,
             "FOCAL": self.camera.focal(self.width),
             "TTC_ALARM": self.params.ttc_alarm,

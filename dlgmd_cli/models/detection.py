@@ -45,9 +45,6 @@ class Detection(Measured, Response):
         The name of the alarm's rule, such as `spikes` or `ttc`.
     side : str
         The image region of what the rule compares, see `side_of`; empty where undefined.
-    blind : str or None
-        Why the images show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if the
-        images are sound, or not bad for long enough. While `blind` is set, silence is no all-clear.
     """
 
     frame: int = column("–", "number in the input, from 0", *TABLES, kind=int, default=-1)
@@ -78,9 +75,16 @@ class Detection(Measured, Response):
         kind=bool,
         default=False,
     )
+    blind: str = column(
+        "–",
+        "why no alarm is no all-clear: `unmeasured` if `expansion_quality` has been below 0.25 for "
+        "0.7 s without an alarm of a rule that uses the expansion; in `live`, also another reason "
+        "of [Health](live.md#health); empty for none",
+        kind=str,
+        default="",
+    )
     rule: str = SPIKES_RULE
     side: str = ""
-    blind: str | None = None
 
 
 # Every column that a row holds, in the order of the tables: which frame it is comes first.

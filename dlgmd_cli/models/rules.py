@@ -12,6 +12,7 @@ from dlgmd_cli.frame import Series
 from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import LEAST_QUALITY
+from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
@@ -161,6 +162,11 @@ class Rule:
         """What holds the signal below the raw number, in a word; empty for nothing."""
         return ""
 
+    def blind(self, reason: str, *, alarm: bool) -> str:
+        """A reason of `Detection.blind` as it holds for the rule and its alarm."""
+        is_all_clear = alarm or not self.uses_expansion
+        return "" if reason == UNMEASURED and is_all_clear else reason
+
     def reset(self) -> None:
         """Forget the earlier frames that `value` remembers; called before the first frame."""
 
@@ -187,7 +193,8 @@ class Rule:
             signal=signal,
             signal_limit=limit,
             spike=bool(row.level >= self.params.t_mp),
-            alarm=self._in_a_row >= self.n_in_a_row,
+            alarm=(is_alarm := self._in_a_row >= self.n_in_a_row),
+            blind=self.blind(row.blind, alarm=is_alarm),
             rule=self.name,
             side=self.side((row.g_x, row.g_y), (row.expansion_x, row.expansion_y)),
         )

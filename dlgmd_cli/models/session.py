@@ -8,7 +8,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
-from dlgmd_cli.models.health import Health
+from dlgmd_cli.models.health import UNMEASURED, Health, Measuring
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import Direction
@@ -35,7 +35,8 @@ class Session:
     headings : callable, optional
         Frame number -> direction of flight, None if unknown.
     health : Health, optional
-        Says why the images show nothing, see `Detection.blind`.
+        Says why the images show nothing. Without it, `Detection.blind` says only whether the
+        expansion cannot be measured.
 
     Attributes
     ----------
@@ -59,12 +60,13 @@ class Session:
         self.models, self.expansion, self._headings = [*models], expansion, headings
         self.sizes_wh: list[tuple[int, int] | None] = [*sizes_wh] or [None] * len(self.models)
         self.rules = [rule_of(model.params) for model in self.models]
-        self.health, self.left_out = health, ""
+        self.health, self.left_out, self._measuring = health, "", Measuring()
         self._forget()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         self._restart()
+        self._measuring.reset()
         if self.health is not None:
             self.health.reset()
 
@@ -106,8 +108,11 @@ class Session:
         time_s = None if math.isnan(frame.time_s) else frame.time_s
         self._restarts = self._restarts or frame.after_gap
         if frame.is_repeat:
-            blind = self._blind(frame, time_s)
-            self._rows = [_repeated(row, frame, blind) for row in self._rows]
+            blind = self._blind(frame, self._rows[0].expansion_quality)
+            self._rows = [
+                _repeated(row, frame, rule.blind(blind, alarm=row.alarm))
+                for row, rule in zip(self._rows, self.rules, strict=True)
+            ]
             return self._rows
         is_gap = self._restarts
         if is_gap:
@@ -121,16 +126,20 @@ class Session:
             else Response()
             for model, size_wh in zip(self.models, self.sizes_wh, strict=True)
         ]
-        measured, blind = self._measured(frame, time_s), self._blind(frame, time_s)
+        measured = self._measured(frame, time_s)
+        blind = self._blind(frame, measured.expansion_quality)
         self._rows = [
             rule.step(_row(frame, model, response, measured, gap=is_gap, blind=blind))
             for model, response, rule in zip(self.models, responses, self.rules, strict=True)
         ]
         return self._rows
 
-    def _blind(self, frame: Frame, time_s: float | None) -> str | None:
-        """Why the images show nothing; None if they are sound, or not judged."""
-        return None if self.health is None else self.health.step(frame.grey, time_s)
+    def _blind(self, frame: Frame, quality: float) -> str:
+        """Why the images show nothing, or `UNMEASURED`, whatever the rule; empty for neither."""
+        is_unmeasured = self.expansion is not None and self._measuring.step(quality, frame.time_s)
+        time_s = None if math.isnan(frame.time_s) else frame.time_s
+        reason = None if self.health is None else self.health.step(frame.grey, time_s)
+        return reason or (UNMEASURED if is_unmeasured else "")
 
     def _measured(self, frame: Frame, time_s: float | None) -> Measured:
         """The expansion at a frame."""
@@ -148,7 +157,7 @@ def _row(
     measured: Measured,
     *,
     gap: bool,
-    blind: str | None,
+    blind: str,
 ) -> Detection:
     """The row of a frame before the rule has judged it."""
     mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
@@ -164,7 +173,7 @@ def _row(
     )
 
 
-def _repeated(row: Detection, frame: Frame, blind: str | None) -> Detection:
+def _repeated(row: Detection, frame: Frame, blind: str) -> Detection:
     """The row of a duplicate: a copy, unless the model had no number to copy yet."""
     return replace(
         row,

@@ -99,6 +99,7 @@ class Summary(TypedDict, total=False):
     first_alarm_time_s: float | None
     first_alarm_side: str | None
     first_alarm_ttc_s: float | None
+    blind_share: float
     mean_attenuation_db: float | None
     attenuation_frames: int
     median_attenuation_db: float | None

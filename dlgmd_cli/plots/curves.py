@@ -48,6 +48,7 @@ _WEAK: style.Line = {"linewidth": 0.8}
 # Of what was measured, behind what the rule makes of it; and what shades what a rule holds back.
 _BEHIND: style.Line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 1.5}
 _HATCHES = {GROUND: "", QUALITY: "//////", APPROACH: "......"}
+_BLIND_HATCH = "\\\\\\"
 # Height in inches of a row of marks at the foot of an axis.
 _MARKS_IN = 0.09
 
@@ -190,32 +191,36 @@ def _name_line(
 
 
 def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
-    """Draw a dot at every spike, and the alarms."""
+    """Draw a dot at every spike, and the bands."""
     result = trace.result
     spikes = np.where(result.new_spikes, level, np.nan)
     times, levels = thinned(result.time_s, spikes, trace.n_columns)
     spiking = ~np.isnan(levels)
     if not spiking.any():
-        return _draw_alarms(axes, trace)
+        return _draw_bands(axes, trace)
     (dots,) = axes.plot(times[spiking], levels[spiking], "o", color=style.ORANGE, zorder=3)
     dots.set_clip_on(False)
     if np.count_nonzero(spiking) > _MAX_RINGED:
         dots.set(markersize=2, markeredgewidth=0)
     else:
         dots.set(markersize=3, markeredgewidth=0.3, markeredgecolor="black")
-    return [(dots, "spike"), *_draw_alarms(axes, trace)]
+    return [(dots, "spike"), *_draw_bands(axes, trace)]
 
 
-def _draw_alarms(axes: Axes, trace: Trace) -> style.Entries:
-    """Draw a band at every alarm."""
-    result = trace.result
-    if not result.alarms.any():
-        return []
-    bands = axes.broken_barh(
-        stretches(result.time_s, result.alarmed), (0, 1), alpha=0.3,
-        color=style.VERMILION, linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
-    )  # fmt: skip
-    return [(bands, f"alarm ({result.rule.name})")]
+def _draw_bands(axes: Axes, trace: Trace) -> style.Entries:
+    """Draw a band at every alarm, and a hatched one wherever no alarm is no all-clear."""
+    result, entries, up = trace.result, style.Entries(), axes.get_xaxis_transform()
+    if result.alarms.any():
+        bars = stretches(result.time_s, result.alarmed)
+        bands = axes.broken_barh(bars, (0, 1), alpha=0.3, transform=up, zorder=0)
+        bands.set(color=style.VERMILION, linewidth=0.8)
+        entries.append((bands, f"alarm ({result.rule.name})"))
+    for reason in dict.fromkeys(reason for *_, reason in result.blind_spans):
+        bars = stretches(result.time_s, result.blind == reason)
+        bands = axes.broken_barh(bars, (0, 1), transform=up, zorder=0)
+        bands.set(facecolor="none", edgecolor=style.LIGHT_GREY, linewidth=0.0, hatch=_BLIND_HATCH)
+        entries.append((bands, f"no all-clear: {reason}"))
+    return entries
 
 
 def is_measured(result: Result, column: str = "expansion") -> bool:
@@ -241,7 +246,7 @@ def _draw_measured(
     What was measured is thin. There is one line if all results have the same numbers. A single
     result also shows its alarms. Returns the legend's entries and the drawn series.
     """
-    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+    entries = _draw_bands(axes, traces[0]) if traces[0].alone else []
     signals = [compared(trace.result, column) for trace in traces]
     measured: list[Series] = [getattr(trace.result, column) for trace in traces]
     if is_shared := _are_equal(signals) and _are_equal(measured):
@@ -387,7 +392,7 @@ def signal_limits(result: Result) -> tuple[float, float]:
 
 def _draw_signal(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entries:
     """Draw the signals of rules of one's own, or of all rules, and their threshold by name."""
-    entries = _draw_alarms(axes, traces[0]) if traces[0].alone else []
+    entries = _draw_bands(axes, traces[0]) if traces[0].alone else []
     own = [trace for trace in traces if has_own_signal(trace.result)] or traces
     for trace in own:
         line = _draw_line(axes, trace, trace.result.signal)

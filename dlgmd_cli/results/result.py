@@ -292,6 +292,22 @@ class Result(Outcome):
                 found.append((first, after - 1, words.most_common(1)[0][0]))
         return found
 
+    @property
+    def blind_spans(self) -> list[tuple[int, int, str]]:
+        """First and last row of each stretch in which no alarm is no all-clear, and the reason."""
+        return [
+            (first, after - 1, reason)
+            for reason in dict.fromkeys(self.blind[self.blind != ""].tolist())
+            for first, after in runs_of(self.blind == reason).tolist()
+        ]
+
+    @property
+    def blind_share(self) -> float:
+        """Share of the time in which no alarm is no all-clear."""
+        steps_s = np.diff(self.time_s)
+        blind_s = float(steps_s[self.blind[:-1] != ""].sum())
+        return blind_s / float(steps_s.sum()) if blind_s else 0.0
+
     @cached_property
     def summary(self) -> Summary:
         """The main numbers of the result; None where undefined.
@@ -301,7 +317,7 @@ class Result(Outcome):
         without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
         apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
         ``left high``, see `side_of`), `first_alarm_ttc_s` (the estimated time to contact),
-        and the `attenuations`.
+        `blind_share` and the `attenuations`.
         """
         peak, alarms = self._peak_row, self.alarm_list
         spiking = np.flatnonzero(self.new_spikes)
@@ -317,6 +333,7 @@ class Result(Outcome):
             "first_alarm_time_s": alarms[0].start_s if alarms else None,
             "first_alarm_side": (alarms[0].side or None) if alarms else None,
             "first_alarm_ttc_s": defined(alarms[0].ttc_s) if alarms else None,
+            "blind_share": self.blind_share,
             **self.attenuations,
         }
 
@@ -497,6 +514,7 @@ class Result(Outcome):
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list, self.rule)),
             *self._held_back(),
+            *self._no_all_clear(),
             ("frames", frames),
             *self._camera(),
             ("peak MP", peak),
@@ -515,6 +533,14 @@ class Result(Outcome):
             when = f"{self.time_s[first]:.3f} to {self.time_s[last]:.3f} s"
             more = f" (and {len(held) - 1} more)" if len(held) > 1 else ""
             yield "no alarm", f"{when}, {self.rule.peak_text(raw)}, held back by {limit}{more}"
+
+    def _no_all_clear(self) -> Iterator[tuple[str, str]]:
+        """The row of the time without an all-clear, with its longest stretch, if any."""
+        if spans := self.blind_spans:
+            first, last, _ = max(spans, key=lambda one: self.time_s[one[1]] - self.time_s[one[0]])
+            reasons = ", ".join(dict.fromkeys(reason for *_, reason in spans))
+            when = f"longest from {self.time_s[first]:.3f} to {self.time_s[last]:.3f} s"
+            yield "no all-clear", f"{reasons}: {100 * self.blind_share:.1f} % of the time, {when}"
 
     def _camera(self) -> Iterator[tuple[str, str]]:
         """The row of the camera's angles, which says what is assumed; none without a camera."""

@@ -7,7 +7,7 @@ seconds earlier and the approach begins at a, has one outcome:
 - with a speed, *too late*: an onset after t - s, up to t;
 - with a speed, *too early*: an onset before t1, of an alarm that lasts until t1 - 1 s or longer;
 - without a speed, *announced*: an onset from t1 = max(a, t - 2 s) - 1 s to t;
-- *missed*: no such onset.
+- *missed*: no such onset. Such a contact is *told* if there was no all-clear in the last 1.5 s.
 
 Of several outcomes, the first in this list counts. An onset from t1 to t + 1 s is never false. Any
 other onset, also one that is too early, is a *false* alarm, and each further 2 s of the alarm are
@@ -39,6 +39,8 @@ APPROACH_S, BEFORE_S = 2.0, 1.0
 AFTER_S, STANDS_S = 1.0, 2.0
 # N_NEAR frames with a high true rate within NEAR_S (s) of an onset justify the alarm.
 NEAR_S, N_NEAR = 1.0, 2
+# A contact is told if there was no all-clear in the last TOLD_S (s) before it.
+TOLD_S = 1.5
 # The outcomes of a contact. An onset has one of these outcomes, or one of the three others.
 OUTCOMES = ("missed", "too_early", "too_late", "announced", "in_time")
 MISSED, TOO_EARLY, TOO_LATE, ANNOUNCED, IN_TIME = range(5)
@@ -46,7 +48,7 @@ FALSE, JUSTIFIED, FURTHER = "false", "justified", "further"
 # The measures of `score` that have an interval; the counts of `score`.
 MEASURES = ("recall", *(f"{name}_share" for name in OUTCOMES), "false_alarms_per_min", "in_alarm")
 IN_TIME_BY = [f"in_time_{name}" for name in BRAKES]
-COUNTS = ("videos", "contacts", "hits", *OUTCOMES, *IN_TIME_BY)
+COUNTS = ("videos", "contacts", "hits", *OUTCOMES, *IN_TIME_BY, "told")
 COUNTS += ("false_alarms", "justified", "minutes")
 
 # Measure or count -> value, for a model on some videos at one threshold, see `score`.
@@ -99,6 +101,8 @@ class Signal:
         Times of the frames that justify an alarm, increasing.
     ttc_s : ndarray, shape (n,), optional
         Estimated time to contact, in seconds; NaN where undefined.
+    blind : ndarray, shape (n,), bool, optional
+        Where no alarm is no all-clear, see `Detection.blind`.
     """
 
     time_s: Series
@@ -109,6 +113,14 @@ class Signal:
     frame: npt.NDArray[np.int64] | None = None
     near_s: Series | None = None
     ttc_s: Series | None = None
+    blind: Flags | None = None
+
+    def is_told(self, contact: Contact) -> bool:
+        """Whether there was no all-clear in the last 1.5 s before a contact."""
+        if self.blind is None:
+            return False
+        left_s = contact.time_s - self.time_s
+        return bool(self.blind[(left_s >= -ROUNDING_S) & (left_s <= TOLD_S + ROUNDING_S)].any())
 
     def sustained(self, n_sp: int) -> Series:
         """The least strength of the last `n_sp` frames, shape (n,); -inf for fewer frames.
@@ -215,6 +227,8 @@ class Tally:
         Time from the onset of this alarm to the contact, in seconds; NaN if missed.
     in_time : bool ndarray, shape (contacts, brakes, T)
         Whether the contact is in time for each of `BRAKES`; False without a speed.
+    told : ndarray, shape (contacts,), bool
+        Whether there was no all-clear just before a contact, see `Signal.is_told`.
     n_false, n_justified : int ndarray, shape (T,)
         Number of false alarms, and of alarms that only the truth justifies.
     alarm_s : ndarray, shape (T,)
@@ -229,6 +243,7 @@ class Tally:
     onset: npt.NDArray[np.intp]
     lead_s: Series
     in_time: Flags
+    told: Flags
     n_false: npt.NDArray[np.intp]
     n_justified: npt.NDArray[np.intp]
     alarm_s: Series
@@ -242,7 +257,7 @@ class Tally:
 
     def only(self, contacts: Flags) -> "Tally":
         """The tally of some of the contacts, but with all false alarms."""
-        names = ("outcome", "onset", "lead_s", "in_time")
+        names = ("outcome", "onset", "lead_s", "in_time", "told")
         return replace(self, **{name: getattr(self, name)[contacts] for name in names})
 
 
@@ -275,6 +290,7 @@ def tally(signal: Signal, n_sp: int, thresholds: npt.ArrayLike) -> Tally:
         onset,
         lead_s,
         in_time,
+        np.array([signal.is_told(contact) for contact in signal.contacts], np.bool_),
         n_false=summed(every.n_false).astype(np.intp),
         n_justified=summed(every.justified).astype(np.intp),
         alarm_s=summed(lasts_s),
@@ -290,7 +306,8 @@ def score(tallies: Sequence[Tally]) -> Scores:
     -------
     dict of str to float
         `videos`; `contacts`, the `hits` (in time or announced) and each of `OUTCOMES` among them;
-        `in_time_arducopter` and so on, the contacts in time for each of `BRAKES`;
+        `told` among the missed; `in_time_arducopter` and so on, the contacts in time for each of
+        `BRAKES`;
         `false_alarms` and `justified`; `minutes` in which an onset may be false.
 
         `recall`: hits / contacts. `in_time_share` and so on: each outcome / contacts.
@@ -303,6 +320,7 @@ def score(tallies: Sequence[Tally]) -> Scores:
     of = {k: [int((t.outcome == i).sum()) for t in tallies] for i, k in enumerate(OUTCOMES)}
     of |= {k: [int(t.in_time[:, i].sum()) for t in tallies] for i, k in enumerate(IN_TIME_BY)}
     of["hits"] = [int(t.is_hit.sum()) for t in tallies]
+    of["told"] = [int((t.told & (t.outcome[:, 0] == MISSED)).sum()) for t in tallies]
     of["false_alarms"] = [int(t.n_false[0]) for t in tallies]
     of["justified"] = [int(t.n_justified[0]) for t in tallies]
     totals: Scores = {name: sum(own) for name, own in of.items()}

@@ -10,6 +10,7 @@ from typing import Any
 
 from dlgmd_cli import Rule
 from dlgmd_cli.errors import Once, ParameterError, argument, counted
+from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.stopping import Brake as StoppingBrake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import HEARD_S, MAX_SPEED_M_S, Autopilot, Mode, dialect
@@ -199,7 +200,8 @@ class Mavlink:
 
     def _objection(self) -> str:
         """A reason not to command now that does not come from the autopilot; empty for none."""
-        if self._reason:
+        # What an alarm has raised is right, also if the expansion is not measured after it.
+        if self._reason not in ("", UNMEASURED):
             return f"blind, {self._reason}"
         if self._peers.kinship() == AUTOPILOTS:
             return f"{AUTOPILOTS} of system {self._own[0]}"

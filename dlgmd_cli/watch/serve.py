@@ -276,7 +276,7 @@ class PageServer:
             "rule": self._rule.to_dict(),
             "dropped": self._source.n_dropped,
             "busy": statistics.busy,
-            "protects": statistics.protects,
+            "protects": statistics.protects and not self._reason,
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),

@@ -15,7 +15,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
-from dlgmd_cli.models.health import BLIND_S, SOUND_S
+from dlgmd_cli.models.health import BLIND_S, SOUND_S, UNMEASURED
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.tasks.camera import camera_of
@@ -36,6 +36,7 @@ BLIND_WORDS = {
     "flat": "its frames have no contrast",
     "noise": "its frames are noise",
     "frozen": "its image is frozen",
+    UNMEASURED: "the expansion cannot be measured",
 }
 # Interval (s) between checks of the stop flag while no frame comes.
 _WAIT_S = 0.1
@@ -59,7 +60,8 @@ class Answer:
     frame : Frame or None
         The frame; for an event between frames, the previous frame, if any.
     detection : Detection
-        What the frame gave; for an event between frames, only the rule, and whether an alarm is on.
+        What the frame gave; for an event between frames, only the rule, the reason, and whether an
+        alarm is on.
     event : str
         `begin` or `end` of an alarm; `blind` when the source begins to show nothing (also when the
         reason changes); `sees` when the source shows something again; an event that a receiver
@@ -68,7 +70,7 @@ class Answer:
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
-        Why the source shows nothing: `lost`, or a reason of `Health`; empty if it shows something.
+        Why no alarm is no all-clear: `lost`, or a reason of `Detection.blind`; empty for none.
     span : AlarmSpan or None
         For `begin` and `end`, the alarm as known so far.
     time_s, since_s : float
@@ -367,7 +369,7 @@ class Watch:
         first_s = math.nan if latest is None else latest.captured_s - latest.time_s
         return Answer(
             latest,
-            Detection(alarm=alarm, rule=self._alarm.rule.name),
+            Detection(alarm=alarm, rule=self._alarm.rule.name, blind=self._state.reason),
             event=event,
             reason=self._state.reason,
             span=span,
@@ -429,7 +431,7 @@ class SourceState:
         silent_s = now_s - source.heard_s
         self.is_silent = silent_s > max(SILENT_S, usual_s) and not source.may_pause
         if row is not None:
-            self._blind = row.blind or ""
+            self._blind = row.blind
         is_lost = source.is_lost or self.is_silent
         if is_lost or silent_s > max(_SOON_S, usual_s) or not source.n_frames:
             self._back_s = math.nan

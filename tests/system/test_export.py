@@ -2,9 +2,11 @@
 
 import ctypes
 import json
+import math
 import re
 import shutil
 import subprocess
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,9 @@ from conftest import looming_frames
 from exported import (
     ALARM,
     EXPANSION,
+    NAMES,
     PLACE,
+    QUALITY,
     address,
     answers_of_c,
     answers_of_python,
@@ -27,7 +31,7 @@ from dlgmd_cli import Alarm, load_set
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.microcontroller.export import Export
 from dlgmd_cli.models.expansion import Expansion
-from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
+from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health, Measuring
 from dlgmd_cli.models.prepare import Flicker
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.presets import load_config, parameters_of
@@ -198,6 +202,28 @@ def wall(width, height, t, light=1.0):
     return np.rint(np.minimum(levels * light, 255)).astype(np.uint8)
 
 
+@needs_cc
+@pytest.mark.parametrize("steps_ms", [(0,), (33, 33, 34), (100,)])
+def test_unmeasured_is_that_of_python(tmp_path, steps_ms):
+    """To a frame, by the quality that C measures; never during an alarm, and not for spikes."""
+    plain = [np.full((54, 96), 128, np.uint8)] * 40
+    frames = [*plain, *(wall(96, 54, t) for t in range(24)), *plain]
+    answers = answers_of_c(Export(FLIGHT, 96, 54), tmp_path, frames, steps_ms)
+    measuring, times_ms = Measuring(), np.cumsum([*islice(cycle(steps_ms), len(frames))])
+    right = [
+        measuring.step(quality, time_ms / 1000.0 if steps_ms[0] else math.nan) and not alarm
+        for quality, time_ms, alarm in zip(
+            answers[:, QUALITY], times_ms, answers[:, ALARM], strict=True
+        )
+    ]
+    told = answers[:, NAMES.index("unmeasured")]
+    assert told.tolist() == right and told[39] and not told[60] and told[-1]
+    (folder := tmp_path / "spikes").mkdir()
+    params = parameters_of(load_config("flight"), {"alarm": "spikes"})
+    spikes = answers_of_c(Export(params, 96, 54), folder, frames, steps_ms)
+    assert not spikes[:, NAMES.index("unmeasured")].any()
+
+
 def lamp_frames(width, height):
     """It, under a lamp that flickers."""
     rows = np.mgrid[:height, :width][0]
@@ -273,8 +299,8 @@ def sights(width, height):
 def test_health_is_that_of_python(tmp_path):
     """Each reason, when it begins and ends, to a frame; for odd sizes, too."""
     names = (None, BLACK, FLAT, NOISE, FROZEN)
-    for width, height, step_ms in ((64, 48, 33), (57, 43, 0)):
-        (folder := tmp_path / str(width)).mkdir()
+    for width, height, step_ms in ((64, 48, 33), (57, 43, 0), (64, 48, 170)):
+        (folder := tmp_path / f"{width} {step_ms}").mkdir()
         c, health = compiled(Export(SMALL, width, height), folder), Health()
         sight, time_ms = (ctypes.c_uint32 * (width * height))(), 0
         c.dlgmd_health_reset(sight)

@@ -598,6 +598,8 @@ TEXTURE = cv2.resize(
 )
 PAN = np.stack([TEXTURE[:, 2 * n : 2 * n + 80] for n in range(90)])
 BLACK, STILL = np.zeros_like(PAN), np.repeat(PAN[:1], 90, axis=0)
+# A plain wall below a moving frieze.
+WALL = np.where(np.arange(60)[:, None] < 12, PAN, 120).astype(np.uint8)
 FOG = np.random.default_rng(4).integers(126, 131, PAN.shape, np.uint8)
 
 
@@ -609,6 +611,7 @@ FOG = np.random.default_rng(4).integers(126, 131, PAN.shape, np.uint8)
         ([*PAN[:45], *FOG[:45], *PAN[:45]], "flat", ["blind", "sees"]),
         ([*PAN[:30], *BLACK[:15], *PAN[:30], *STILL[:15], *PAN[:30]], "", []),
         (BLACK[:45], "black", ["blind"]),
+        ([*PAN[:45], *WALL[:45], *PAN[:45]], "unmeasured", ["blind", "sees"]),
     ],
 )
 def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog):

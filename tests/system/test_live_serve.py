@@ -196,12 +196,14 @@ def test_blindness_is_shown_until_it_is_over(serve, ask):
     nothing = replace(answer(), frame=None, latency_ms=np.nan)
     screen.put(replace(nothing, event="blind", reason="lost"))
     until(lambda: "the source is lost" in next_event(events)["blind"])
-    assert not next_event(events)["has_frames"]
+    assert not next_event(events)["has_frames"] and not next_event(events)["protects"]
+    screen.put(replace(nothing, event="blind", reason="unmeasured"))
+    until(lambda: "cannot be measured" in next_event(events)["blind"])
     screen.put(replace(nothing, event="sees"))
     screen.put(answer())
     until(lambda: next_event(events)["has_frames"])
     state = next_event(events)
-    assert state["blind"] == ""
+    assert state["blind"] == "" and state["protects"]
     until(lambda: next_event(events)["quiet_s"] > 0.2)
     screen.put(answer(1))
     until(lambda: next_event(events)["quiet_s"] < 0.2)

@@ -90,7 +90,8 @@ def test_run_yaml(runs, clips):
     assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
     numbers = "mp_max mp_max_frame mp_max_time_s spikes first_spike_time_s rule alarms "
     numbers += "first_alarm_frame first_alarm_time_s first_alarm_ttc_s first_alarm_side "
-    numbers += "mean_attenuation_db attenuation_frames median_attenuation_db pooled_attenuation_db"
+    numbers += "blind_share mean_attenuation_db attenuation_frames median_attenuation_db "
+    numbers += "pooled_attenuation_db"
     assert set(record["summary"]) == set(numbers.split())
 
 

@@ -618,6 +618,13 @@ def test_a_blind_watch_and_a_late_alarm_do_not_brake(link, clock):
         assert told(reports) == [("brake-withheld", {"why": why})] and not commands(link)
 
 
+def test_an_alarm_brakes_also_if_what_follows_is_not_measured(link, clock):
+    send, reports = braking()
+    Pilot(link).heartbeat()
+    send(answer(True, event="begin", reason="unmeasured"))
+    assert commands(link) and not told(reports)[0][1].get("why")
+
+
 def test_one_lost_heartbeat_does_not_withhold_the_brake(link, clock):
     """It counts for 3 s."""
     for age_s, n_sent in ((2.9, 1), (3.1, 0)):

@@ -51,6 +51,7 @@ def test_summary():
         "first_alarm_time_s": 17 / 25,
         "first_alarm_side": None,  # no centroid is known
         "first_alarm_ttc_s": None,
+        "blind_share": 0.0,
         "mean_attenuation_db": pytest.approx(-70 / 7),
         "attenuation_frames": 7,
         "median_attenuation_db": -6.5,
@@ -146,6 +147,17 @@ def test_a_result_says_which_angles_of_the_camera_are_assumed():
     ):
         result.record["options"] = given
         assert dict(next(result.shown())[1])["camera"] == text
+
+
+def test_the_time_without_an_all_clear_is_told():
+    result = make_result([0.0] * 51)
+    assert result.blind_share == 0.0 and not result.blind_spans
+    result.rows["blind"][10:20], result.rows["blind"][30:45] = "unmeasured", "black"
+    assert result.blind_spans == [(10, 19, "unmeasured"), (30, 44, "black")]
+    assert result.summary["blind_share"] == pytest.approx(0.5)
+    (_, rows), *_ = result.shown()
+    text = "unmeasured, black: 50.0 % of the time, longest from 1.200 to 1.760 s"
+    assert dict(rows)["no all-clear"] == text
 
 
 def test_the_longest_stretch_that_is_held_back_is_told():

@@ -195,6 +195,16 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp):
         np.testing.assert_array_equal(counts.lead_s[:, number], alone.lead_s[:, 0])
 
 
+@pytest.mark.parametrize(("blind_s", "told"), [((8.6, 8.7), 1), ((8.3, 8.4), 0), ((10.1, 12), 0)])
+def test_a_missed_contact_is_told_in_the_last_moments(blind_s, told):
+    """One with an alarm does not count, and one without a word of health is not told."""
+    one = video([])
+    one = replace(one, blind=(one.time_s >= blind_s[0]) & (one.time_s <= blind_s[1]))
+    hit = replace(one, strength=video([(9.0, 9.5)]).strength)
+    scores = scoring.score([scoring.tally(each, 1, 0.5) for each in (one, hit, video([]))])
+    assert (scores["told"], scores["missed"], scores["contacts"]) == (told, 2, 3)
+
+
 def test_measures_of_several_videos():
     counts = [
         scoring.tally(one, 1, 0.5)

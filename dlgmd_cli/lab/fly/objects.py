@@ -172,6 +172,11 @@ def _wall(b: "Part") -> None:
         b.board((0.9, 1.2), (0.012, y, 1.45), Look("poster", once=True))
 
 
+def _blank(b: "Part") -> None:
+    """A wall of one colour across the way: nothing on it can be measured."""
+    b.board((7.0, 3.0), (0, 0, 1.5), Look("plain", _shade(b, 0.8)))
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of object.
@@ -188,6 +193,8 @@ class Kind:
         Half of the width that a drone can hit.
     where : str
         "indoors", "outdoors", or both.
+    is_drawn : bool
+        Whether the seed may choose it.
     """
 
     build: Build
@@ -195,6 +202,7 @@ class Kind:
     aim_m: tuple[float, float]
     half_m: float
     where: str = f"{INDOORS} {OUTDOORS}"
+    is_drawn: bool = True
 
     @property
     def stands(self) -> bool:
@@ -204,6 +212,7 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "ball": Kind(_ball, 0.2, (0, 0), 0.1),
+    "blank": Kind(_blank, 3.6, (0.8, 1.8), 2.0, is_drawn=False),
     "board": Kind(_board, 0.6, (0.75, 1.45), 0.45),
     "box": Kind(_box, 0.6, (0, 0), 0.25),
     "bush": Kind(_bush, 0.9, (0.8, 1.1), 0.5, OUTDOORS),

@@ -219,7 +219,8 @@ class Draw:
     def kind(self, world: str, kinds: Sequence[str]) -> str:
         """The target: the one that is asked for, or one of some kinds that is found in a world."""
         where = environment_of(world)
-        return self.target or self.either(*(k for k in kinds if where in KINDS[k].where))
+        fitting = (k for k in kinds if KINDS[k].is_drawn and where in KINDS[k].where)
+        return self.target or self.either(*fitting)
 
     def height(self, target: str) -> float:
         """A height at which a target is in the way."""

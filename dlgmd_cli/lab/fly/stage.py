@@ -314,7 +314,7 @@ class Stage:
             radius = KINDS[script.target].radius_m if script.target in KINDS else 0.0
             way = np.array([target.at(time_s)[:2] for time_s in times])
             ways += [way - radius, way, way + radius]
-            if script.target in ("door", "wall"):
+            if script.target in ("door", "wall", "blank"):
                 needed.append(way)
                 slabs.append((float(way[0, 0]) - 0.6, float(way[0, 0]) + 0.3))
             else:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import dlgmd_cli
 from dlgmd_cli.lab.measure import approaches
 from dlgmd_cli.lab.measure.scores import Row, evaluated, number, of_all, reference, rows_of, table
+from dlgmd_cli.lab.measure.unmeasured import unmeasured
 from dlgmd_cli.results.labels import read_cases
 
 
@@ -158,6 +159,7 @@ TABLES = {
     "approach": Measured(approaches.announced, 6),
     "approach-rate": Measured(approaches.rates, 3),
     "approach-quality": Measured(approaches.qualities, 2),
+    "unmeasured": Measured(unmeasured, 10),
     "ttc-synthetic": Measured(ttc_synthetic, 1),
     "ttc-real": Measured(ttc_real, 1),
     "paper-totals": Measured(paper_totals, 9),

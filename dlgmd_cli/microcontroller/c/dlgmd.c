@@ -720,6 +720,19 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
                         : ahead >= EXPANSION_ALARM;
 }
 
+#if DLGMD_RULE != DLGMD_SPIKES
+/* Whether the quality has been too low for too long; its first low frame counts as 1 ms. */
+static bool is_unmeasured(dlgmd_state *state, uint32_t step_us)
+{
+    if (state->weight >= LEAST_MEASURED) {
+        state->low_s = 0.0f;
+    } else if (state->low_s < BLIND_S) {
+        state->low_s += state->low_s > 0.0f ? seconds_of(step_us) : 1e-3f;
+    }
+    return state->low_s >= BLIND_S;
+}
+#endif
+
 /* 1 - square / (n (n + 1)) (1 - square / ((n + 2) (n + 3)) (1 - ...)). */
 static float series(float angle, int n)
 {
@@ -792,6 +805,8 @@ dlgmd_answer dlgmd_step_us(dlgmd_state *state, const uint8_t *frame, uint32_t st
 #if DLGMD_RULE == DLGMD_SPIKES
     state->spikes = answer.spike ? state->spikes + 1 : 0;
     answer.alarm = state->spikes >= N_SP;
+#else
+    answer.unmeasured = is_unmeasured(state, step_us) && !answer.alarm;
 #endif
     return answer;
 }

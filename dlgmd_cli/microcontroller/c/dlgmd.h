@@ -86,6 +86,7 @@ typedef struct {
 #if DLGMD_EXPANSION
     float weight, sum;   /* of rates ahead by their precision, and of those times the rates */
     float across;        /* the same sum of the rates across */
+    float low_s;         /* how long the quality has been low; 0: it is not */
     dlgmd_window window; /* ahead */
     uint32_t steps_us[DLGMD_EARLIER]; /* from the frame before to each of `frames` */
 #if DLGMD_EVENS
@@ -119,6 +120,8 @@ typedef struct {
     bool alarm; /* a collision is imminent */
     uint8_t rule; /* what raises the alarm: DLGMD_SPIKES, DLGMD_TTC or DLGMD_AHEAD */
     bool has_ttc; /* something expands, so that ttc_s is known */
+    /* The rule needs an expansion that could not be measured lately: no alarm is no all-clear. */
+    bool unmeasured;
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
     /* Centroid of the active cells, 0 without any: -1 at the left or top edge, 1 at the other. */
@@ -154,8 +157,21 @@ static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
 }
 
 /* Why images show nothing: too little light, too little contrast, nothing but noise, or always the
-   same image. */
-typedef enum { DLGMD_SOUND, DLGMD_BLACK, DLGMD_FLAT, DLGMD_NOISE, DLGMD_FROZEN } dlgmd_blind;
+   same image; and that the expansion is not measured, see dlgmd_blind_of. */
+typedef enum {
+    DLGMD_SOUND,
+    DLGMD_BLACK,
+    DLGMD_FLAT,
+    DLGMD_NOISE,
+    DLGMD_FROZEN,
+    DLGMD_UNMEASURED
+} dlgmd_blind;
+
+/* Why no alarm is no all-clear, by what dlgmd_health_us says, and by the answer. */
+static inline dlgmd_blind dlgmd_blind_of(dlgmd_blind health, const dlgmd_answer *answer)
+{
+    return health == DLGMD_SOUND && answer->unmeasured ? DLGMD_UNMEASURED : health;
+}
 
 /* The state of dlgmd_health. */
 #define DLGMD_BLOCKS ((DLGMD_WIDTH / 4) * (DLGMD_HEIGHT / 4))

@@ -12,7 +12,7 @@ enum {
     LEVELS = 255 * 16,
     BLIND_MS = 700,
     SOUND_MS = 500,
-    NEAR_MS = 350
+    SLIGHT_MS = 100
 };
 
 void dlgmd_health_reset(dlgmd_sight *sight)
@@ -51,20 +51,20 @@ static int32_t quantile(const uint16_t *a, const uint16_t *b, int hundredths)
     return low;
 }
 
-/* Whether two images correlate by less than 0.3. */
-static bool is_unlike(const uint16_t *a, const uint16_t *b)
+/* Whether n blocks of two images, or of an image and their neighbours, correlate by less than 0.3. */
+static bool is_unlike(const uint16_t *a, const uint16_t *b, int n)
 {
     int64_t sum_a = 0, sum_b = 0, aa = 0, bb = 0, ab = 0;
-    for (int i = 0; i < BLOCKS; i++) {
+    for (int i = 0; i < n; i++) {
         sum_a += a[i];
         sum_b += b[i];
         aa += (int32_t)a[i] * a[i];
         bb += (int32_t)b[i] * b[i];
         ab += (int32_t)a[i] * b[i];
     }
-    aa = BLOCKS * aa - sum_a * sum_a;
-    bb = BLOCKS * bb - sum_b * sum_b;
-    ab = BLOCKS * ab - sum_a * sum_b;
+    aa = n * aa - sum_a * sum_a;
+    bb = n * bb - sum_b * sum_b;
+    ab = n * ab - sum_a * sum_b;
     for (; (aa | bb) >> 28 != 0; ab /= 2) {
         aa /= 2;
         bb /= 2;
@@ -86,8 +86,10 @@ static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t step_ms, uint32_t *sin
         usual += (change - usual) * 3 / 10;
         sight->change = usual;
         int32_t since = quantile(now, sight->first, 95) * 256;
-        is_frozen = 25 * usual < 2 * 256 * range && 2 * since <= 3 * usual + 2 * 4 * 256;
-        is_noise = step_ms <= NEAR_MS && is_unlike(now, before);
+        int64_t span_ms = step_ms > SLIGHT_MS ? step_ms : SLIGHT_MS;
+        is_frozen = 25 * span_ms * usual < 2 * 256 * SLIGHT_MS * (int64_t)range &&
+                    2 * since <= 3 * usual + 2 * 4 * 256;
+        is_noise = is_unlike(now, before, BLOCKS) && is_unlike(now + 1, now, BLOCKS - 1);
     }
     if (!is_frozen) {
         memcpy(sight->first, now, sizeof sight->first);

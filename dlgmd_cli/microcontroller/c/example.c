@@ -9,7 +9,7 @@
 #include <stdlib.h>
 
 static const char *const rules[] = {"spikes", "ttc", "expansion"};
-static const char *const reasons[] = {"", "black", "flat", "noise", "frozen"};
+static const char *const reasons[] = {"", "black", "flat", "noise", "frozen", "unmeasured"};
 static dlgmd_state state;
 static dlgmd_sight sight;
 static uint8_t frame[DLGMD_HEIGHT * DLGMD_WIDTH];
@@ -35,7 +35,7 @@ int main(int n_arguments, char **arguments)
         unsigned long n_steps = (unsigned long)n_arguments - 1;
         uint32_t step_us = n_steps ? (uint32_t)atoi(arguments[1 + number % n_steps]) : 0;
         dlgmd_answer answer = dlgmd_step_us(&state, frame, step_us);
-        const char *reason = reasons[dlgmd_health_us(&sight, frame, step_us)];
+        dlgmd_blind health = dlgmd_health_us(&sight, frame, step_us);
         printf("%lu,", number);
         print_if(answer.valid, (double)answer.mp);
         print_if(answer.valid, (double)answer.mp_abs);
@@ -53,7 +53,7 @@ int main(int n_arguments, char **arguments)
         print_if(answer.has_ttc, (double)answer.ttc_s);
         print_if(is_measured, (double)answer.expansion_x);
         print_if(is_measured, (double)answer.expansion_y);
-        puts(reason);
+        puts(reasons[dlgmd_blind_of(health, &answer)]);
         number++;
     }
     if (n_read > 0 || number == 0) {

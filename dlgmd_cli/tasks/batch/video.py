@@ -31,6 +31,7 @@ OF_SUMMARY = (
     "alarms",
     "first_alarm_frame",
     "first_alarm_time_s",
+    "blind_share",
     "mean_attenuation_db",
     "attenuation_frames",
     "median_attenuation_db",

@@ -163,11 +163,11 @@ def signal_of(
         approach_s = -math.inf if start is None else time_of(start)
         contacts.append(stopping.contact(label, time_of(collision), approach_s))
     near_s = np.array([time_of(number) for number in case.near if first <= number <= last])
-    ttc_s = None
+    ttc_s = blind = None
     if strength is None:
-        strength, ttc_s = result.strength, result.ttc_s
+        strength, ttc_s, blind = result.strength, result.ttc_s, result.blind != ""
     common = frame_s, result.is_repeat, frame, near_s
-    return Signal(time_s, strength, tuple(contacts), *common, ttc_s=ttc_s)
+    return Signal(time_s, strength, tuple(contacts), *common, ttc_s=ttc_s, blind=blind)
 
 
 class Candidates:

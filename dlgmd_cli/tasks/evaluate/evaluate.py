@@ -427,7 +427,7 @@ class Evaluation(Outcome):
         yield f"{videos}, {contacts}. False alarms: count in minutes: rate. In brackets: 95 %."
         if any(row["at"] == BEST for row in self.rows):
             yield "* The best threshold, chosen on these videos: its scores are optimistic."
-        if self._word != "announced" or any(row["justified"] for row in of_all):
+        if self._word != "announced" or any(row["justified"] or row["told"] for row in of_all):
             yield from self._shown_outcomes(of_all)
         if against := self.differences():
             n, first = sum(map(len, against.values())), next(iter(self.candidates.by_label))
@@ -447,8 +447,9 @@ class Evaluation(Outcome):
 
     def _shown_outcomes(self, rows: Sequence[Row]) -> Iterator[Shown]:
         """The outcomes of the contacts, justified alarms, and contacts in time by who brakes."""
-        names = [*reversed(OUTCOMES), "justified"]
-        yield f"Contacts, and justified alarms; a stop has {self.candidates.stopping.brake}:"
+        names = [*reversed(OUTCOMES), "told", "justified"]
+        brake = self.candidates.stopping.brake
+        yield f"Contacts, those missed but told, and justified alarms; a stop has {brake}:"
         cells = [
             (row["model"], tables.threshold_cell(row), *(str(row[name]) for name in names))
             for row in rows
