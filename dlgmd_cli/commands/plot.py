@@ -140,7 +140,13 @@ one_panel_option = click.option(
     help="Show only the time up to the collision.",
 )
 @one_panel_option
-@click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
+@click.option(
+    "--xlim",
+    type=LIMITS,
+    metavar="FROM:TO",
+    help="Show this time only, in s. With --align, the time to the collision: -0.5:2 shows from "
+    "2 s before it to 0.5 s after it.",
+)
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
 )

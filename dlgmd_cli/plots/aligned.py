@@ -81,6 +81,11 @@ def plot(
         axes.axvline(0.0, color=style.BLACK, linewidth=1.4, zorder=2.4)
         every = [trial for trials in by_model.values() for trial in trials.values()]
         longest_s = max(trial.at_s.max() for trial in every)
+        least_s = min(trial.at_s.min() for trial in every)
+        if xlim and not (xlim[0] < longest_s and least_s < xlim[1]):
+            times = f"{least_s:.3g} to {longest_s:.3g} s before the collision"
+            why = f"{argument('xlim')} shows no frame: the results are from {times}"
+            raise ParameterError("", why)
         axes.set_xlim(*sorted(xlim or (min(0.0, -0.02 * longest_s), longest_s), reverse=True))
         if ylim or name in curves.MP_COLUMNS:
             axes.set_ylim(ylim or curves.LEVEL_LIMITS)

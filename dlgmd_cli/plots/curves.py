@@ -58,6 +58,8 @@ LEVEL_LIMITS = (-0.03, 1.055)
 _LONGEST_ROW_NAME = 18
 # Height of the bar that marks values beyond an axis, as a share of the axes' height.
 _BEYOND = 0.035
+# Share of the time axis in which its words stand to the right of the bar, not to its left.
+_WORDS_SHARE = 0.15
 # Height in inches of a panel that has room for the name of a line.
 _ROOM_IN = 0.7
 # With more dots than this, dots touch, and black rims would hide everything else: no rims.
@@ -291,10 +293,18 @@ def _mark_beyond(
             drawn.set_in_layout(False)  # else Matplotlib's layout reserves the clip rectangle
             every += bars
         if every:
-            start_s, _ = max(every, key=lambda bar: bar[1])
-            y, va = (0.96, "top") if is_high else (0.04, "bottom")
-            words = axes.text(start_s, y, text, va=va, transform=across, clip_on=True)
-            words.set(color=style.GREY, fontsize=style.points(6.5))
+            first_s, last_s = (
+                f(t.result.time_s[i] for t, _ in shown) for f, i in ((min, 0), (max, -1))
+            )
+            start_s, width_s = max(every, key=lambda bar: bar[1])
+            # Beside the bar, above the axes, where no curve runs, or at their foot.
+            is_left = start_s < first_s + _WORDS_SHARE * (last_s - first_s)
+            at_s, ha, aside = (start_s + width_s, "left", 2) if is_left else (start_s, "right", -2)
+            y = 0.999 if is_high else 0.001
+            words = axes.annotate(text, (at_s, y), (aside, 1), across, annotation_clip=True)
+            words.set(anncoords="offset points", ha=ha, va="bottom")
+            words.set(color=style.GREY, fontsize=style.points(6.5), bbox=style.GROUND)
+            words.set(in_layout=False, zorder=3)
 
 
 def _draw_thresholds(

@@ -226,7 +226,7 @@ def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> 
 
 def write_on_white(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:
     """Write a text of any characters on a white background, which hides the lines behind it."""
-    options |= {"fontsize": points(7), "bbox": GROUND, "zorder": 3}
+    options |= {"fontsize": points(7), "bbox": {**GROUND, "alpha": 1.0}, "zorder": 3}
     return axes.text(x, y, f" {plain(text)} ", **options)
 
 

@@ -76,6 +76,10 @@ WRONG_USAGE = [
     ("plot mp one --out a.jpg", "png, pdf, svg, not as jpg. Give a.png"),
     ("plot mp one --xlim 2:1", "'--xlim': '2:1' is not FROM:TO. Write 1.5:2.5."),
     ("plot mp one --xlim 99:100", "--xlim shows no frame: the results are from 0 to "),
+    (
+        "plot mp one --align collision --collision-frame 1 --xlim 99:100",
+        "--xlim shows no frame: the results are from ",
+    ),
     ("plot mp one --emphasise two", "--emphasise: no result is called two. Choose from one."),
     ("plot mp one --collisions x.csv --collision-frame 3", "Give --collisions or "),
     ("plot overview one --ylim 0:1", "an overview has several"),
