@@ -247,11 +247,11 @@ def test_cells_of_the_summary(tmp_path):
         "odd.mp4",
         "plain.mp4",
     ]
-    numbers = ["20", "4", "3", "25", "0.8", "-1.5", "3", "0", "0", "", "", "-12.5"]
+    numbers = ["20", "4", "3", "25", "0.8", "-1.5", "3", "0", "0", "", "", "", "-12.5"]
     numbers += ["", "", "", "", "", "1.235"]
     assert cells[-1][1:] == ["done", "", "", *numbers]
-    assert cells[-2] == ["odd.mp4", "done", "", "=1; b".replace("=", "./="), *[""] * 18]
-    assert cells[-3] == ["bad.mp4", "failed", "./=HYPERLINK(1)\\nmore", *[""] * 18, "0.5"]
+    assert cells[-2] == ["odd.mp4", "done", "", "=1; b".replace("=", "./="), *[""] * 19]
+    assert cells[-3] == ["bad.mp4", "failed", "./=HYPERLINK(1)\\nmore", *[""] * 19, "0.5"]
 
 
 def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
