@@ -81,8 +81,8 @@ def structure_of(path: Path, stated: Stated) -> Structure:
             return _of_flv(mapped(path))
         if stated.kind == "avi":
             return _of_avi(mapped(path))
-        ends_early = {"y4m": _y4m_is_cut, "apng": _apng_is_cut}[stated.kind]
-        return Structure(is_cut=ends_early(mapped(path)))
+        if stated.kind == "y4m":
+            return Structure(is_cut=_y4m_is_cut(mapped(path)))
     return Structure()
 
 
@@ -111,9 +111,14 @@ def _of_avi(data: mmap.mmap) -> Structure:
 
     The number is 0 without an index, or if it is of the first part only.
     """
-    end, at = 8 + int.from_bytes(data[4:8], "little"), data.rfind(b"idx1")
-    is_whole = at > 0 and data[end : end + 4] != b"RIFF"
-    return Structure(len(_INDEXED.findall(data[at:])) if is_whole else 0)
+    parts, at = list[bytes](), 0
+    while data[at : at + 4] == b"RIFF":
+        parts.append(data[at + 8 : at + 12])
+        n_bytes = int.from_bytes(data[at + 4 : at + 8], "little")
+        at += 8 + n_bytes + n_bytes % 2
+    index = data.rfind(b"idx1") if len(parts) == 1 else -1
+    n_frames = len(_INDEXED.findall(data[index:])) if index > 0 else 0
+    return Structure(n_frames, n_joined=parts.count(b"AVI "))
 
 
 def _y4m_is_cut(data: mmap.mmap) -> bool:
@@ -121,13 +126,6 @@ def _y4m_is_cut(data: mmap.mmap) -> bool:
     first = data.find(b"FRAME")
     second = data.find(b"FRAME", first + 5)
     return second > 0 and (len(data) - first) % (second - first) > 0
-
-
-def _apng_is_cut(data: mmap.mmap) -> bool:
-    """Whether the last chunk or some of the stated number of frames are missing."""
-    at = data.find(b"acTL") + 4
-    n_stated, n_frames = int.from_bytes(data[at : at + 4], "big"), len(re.findall(b"fcTL", data))
-    return n_frames < n_stated or data.rfind(b"IEND") < 0
 
 
 def _of_matroska(data: mmap.mmap, track: int) -> Structure:
