@@ -169,7 +169,8 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
 
 def _of_transport(data: mmap.mmap) -> Structure:
     """Counts images of the first video; missing sync bytes and wrong counters are faults."""
-    packets = containers.packets_of_transport(data)
+    found = containers.packets_of_transport(data)
+    packets = found[: 1 + np.flatnonzero(found[:, 0] == containers.SYNC)[-1]]  # padding may follow
     n_faults, video, last = 0, -1, None
     images, jumps = list[int](), list[int]()
     for first in range(0, len(packets), _N_TOGETHER):
@@ -196,7 +197,8 @@ def _of_transport(data: mmap.mmap) -> Structure:
         jumps += [*(first + mine[(steps > 1) & (flags[mine] & _ANEW == 0)])]
         last = counts[-1] if counts.size else last
     # A recording of a broadcast may begin and end within a packet.
-    is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
+    is_whole = len(packets) < len(found) or len(data) % packets.strides[0] == 0
+    is_cut = data[0] == containers.SYNC and not is_whole
     joints = _joints(packets, np.array(images, np.intp), np.array(jumps, np.intp))
     n_faults += np.count_nonzero(~np.isin(np.searchsorted(images, jumps), joints))
     return Structure(len(images), int(n_faults), is_cut, 1 + len(joints))

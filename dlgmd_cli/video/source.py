@@ -351,9 +351,9 @@ class Video:
         if self.info.bits != 16 or brightest in (0, black, darkest):
             return ""
         if _NARROW * (brightest - darkest) < 1 << bits:  # such as the counts of a thermal camera
-            why = f"all samples of 16 bits are from {darkest} to {brightest}, a small part of their range"
+            why = f"all samples of 16 bits are from {darkest} to {brightest}, almost equal"
             spread = f"dlgmd_cli.run((images - {darkest}) / {brightest - darkest})"
-            return f"{why}; spread them to 0..1, in Python by {spread}"
+            return f"{why}; spread them over the range from 0 to 1, in Python by {spread}"
         if bits > _FEW_BITS:
             return ""
         why = f"all samples of 16 bits are {brightest} or less, where white is {white}"

@@ -134,8 +134,10 @@ def test_joined_recordings_that_are_not_read_are_told(tmp_path, decoder, suffix)
     assert n_frames == N_FRAMES and progress.damage[0].startswith(told)
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "flv"])
-@pytest.mark.parametrize("after", [JUNK, bytes(5000)], ids=["junk", "zeros"])
+@pytest.mark.parametrize(
+    ("suffix", "after"),
+    [("mkv", JUNK), ("mkv", bytes(5000)), ("flv", JUNK), ("flv", bytes(5000)), ("ts", bytes(5000))],
+)
 def test_what_follows_a_file_is_no_damage(tmp_path, decoder, suffix, after):
     path = write(tmp_path / f"x.{suffix}")
     path.write_bytes(path.read_bytes() + after)
