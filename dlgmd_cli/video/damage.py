@@ -75,14 +75,9 @@ def structure_of(path: Path, stated: Stated) -> Structure:
             return structure_of_mp4(mapped(path), stated.track)
         if stated.kind == "mkv":
             return _of_matroska(mapped(path), stated.track)
-        if stated.kind == "ts":
-            return _of_transport(mapped(path))
-        if stated.kind == "flv":
-            return _of_flv(mapped(path))
-        if stated.kind == "avi":
-            return _of_avi(mapped(path))
-        if stated.kind == "y4m":
-            return Structure(is_cut=_y4m_is_cut(mapped(path)))
+        readers = {"ts": _of_transport, "flv": _of_flv, "avi": _of_avi, "y4m": _of_y4m}
+        if stated.kind in readers:
+            return readers[stated.kind](mapped(path))
     return Structure()
 
 
@@ -121,11 +116,11 @@ def _of_avi(data: mmap.mmap) -> Structure:
     return Structure(n_frames, n_joined=parts.count(b"AVI "))
 
 
-def _y4m_is_cut(data: mmap.mmap) -> bool:
-    """Whether the last frame is shorter than the first; unknown for a single frame."""
+def _of_y4m(data: mmap.mmap) -> Structure:
+    """Says whether the last frame is shorter than the first; unknown for a single frame."""
     first = data.find(b"FRAME")
     second = data.find(b"FRAME", first + 5)
-    return second > 0 and (len(data) - first) % (second - first) > 0
+    return Structure(is_cut=second > 0 and (len(data) - first) % (second - first) > 0)
 
 
 def _of_matroska(data: mmap.mmap, track: int) -> Structure:
