@@ -34,8 +34,8 @@ def test_hdr_answers_as_the_same_pixels_without_a_tag(dlgmd, tmp_path, name, col
     for folder, tags in {"sdr": SDR, "hdr": colours}.items():
         (tmp_path / folder).mkdir()
         path = tagged(tmp_path / folder / name, tags, frames)
-        decoder = "opencv" if tags == colours else "pyav"
-        done = dlgmd("run", path, "--decoder", decoder, "--format", "none", "-o", folder)
+        decoder = () if tags == colours else ("--decoder", "pyav")
+        done = dlgmd("run", path, *decoder, "--format", "none", "-o", folder)
         assert done.exit_code == 0, done.output
         folder = next(tmp_path.glob(f"{folder}/*/run.yaml")).parent
         assert yaml_of(folder / "run.yaml")["input"]["decoder"] == "pyav"
