@@ -72,8 +72,7 @@ class Colours(NamedTuple):
 class Stated(NamedTuple):
     """The facts that a file states.
 
-    `kind` is mp4, mkv, avi, flv, ts, mpegvideo, y4m, apng, frames (without times), or empty for
-    others.
+    `kind` is mp4, mkv, avi, flv, ts, mpegvideo, y4m, frames (without times), or empty for others.
     `orientation` is that of an MP4's video. `n_videos` counts the video streams of an MP4 or
     Matroska file, and `is_default` says whether the first video stream is the default. `end_s` is
     the duration in seconds that an MP4's edit list leaves visible, and `held_s` that of its last
@@ -121,8 +120,6 @@ def stated_by(path: Path) -> Stated:
             return Stated("frames")
         if start.startswith(b"YUV4MPEG2"):
             return Stated("y4m", has_length=True)
-        if start.startswith(b"\x89PNG"):
-            return Stated("apng")
         if packets_of_transport(whole[:_N_BYTES]).size:
             return Stated("ts")
         return _by_mp4(memoryview(whole))

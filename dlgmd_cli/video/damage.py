@@ -75,14 +75,9 @@ def structure_of(path: Path, stated: Stated) -> Structure:
             return structure_of_mp4(mapped(path), stated.track)
         if stated.kind == "mkv":
             return _of_matroska(mapped(path), stated.track)
-        if stated.kind == "ts":
-            return _of_transport(mapped(path))
-        if stated.kind == "flv":
-            return _of_flv(mapped(path))
-        if stated.kind == "avi":
-            return _of_avi(mapped(path))
-        ends_early = {"y4m": _y4m_is_cut, "apng": _apng_is_cut}[stated.kind]
-        return Structure(is_cut=ends_early(mapped(path)))
+        readers = {"ts": _of_transport, "flv": _of_flv, "avi": _of_avi, "y4m": _of_y4m}
+        if stated.kind in readers:
+            return readers[stated.kind](mapped(path))
     return Structure()
 
 
@@ -111,23 +106,21 @@ def _of_avi(data: mmap.mmap) -> Structure:
 
     The number is 0 without an index, or if it is of the first part only.
     """
-    end, at = 8 + int.from_bytes(data[4:8], "little"), data.rfind(b"idx1")
-    is_whole = at > 0 and data[end : end + 4] != b"RIFF"
-    return Structure(len(_INDEXED.findall(data[at:])) if is_whole else 0)
+    parts, at = list[bytes](), 0
+    while data[at : at + 4] == b"RIFF":
+        parts.append(data[at + 8 : at + 12])
+        n_bytes = int.from_bytes(data[at + 4 : at + 8], "little")
+        at += 8 + n_bytes + n_bytes % 2
+    index = data.rfind(b"idx1") if len(parts) == 1 else -1
+    n_frames = len(_INDEXED.findall(data[index:])) if index > 0 else 0
+    return Structure(n_frames, n_joined=parts.count(b"AVI "))
 
 
-def _y4m_is_cut(data: mmap.mmap) -> bool:
-    """Whether the last frame is shorter than the first; unknown for a single frame."""
+def _of_y4m(data: mmap.mmap) -> Structure:
+    """Says whether the last frame is shorter than the first; unknown for a single frame."""
     first = data.find(b"FRAME")
     second = data.find(b"FRAME", first + 5)
-    return second > 0 and (len(data) - first) % (second - first) > 0
-
-
-def _apng_is_cut(data: mmap.mmap) -> bool:
-    """Whether the last chunk or some of the stated number of frames are missing."""
-    at = data.find(b"acTL") + 4
-    n_stated, n_frames = int.from_bytes(data[at : at + 4], "big"), len(re.findall(b"fcTL", data))
-    return n_frames < n_stated or data.rfind(b"IEND") < 0
+    return Structure(is_cut=second > 0 and (len(data) - first) % (second - first) > 0)
 
 
 def _of_matroska(data: mmap.mmap, track: int) -> Structure:
@@ -171,7 +164,8 @@ def _of_matroska(data: mmap.mmap, track: int) -> Structure:
 
 def _of_transport(data: mmap.mmap) -> Structure:
     """Counts images of the first video; missing sync bytes and wrong counters are faults."""
-    packets = containers.packets_of_transport(data)
+    found = containers.packets_of_transport(data)
+    packets = found[: 1 + np.flatnonzero(found[:, 0] == containers.SYNC)[-1]]  # padding may follow
     n_faults, video, last = 0, -1, None
     images, jumps = list[int](), list[int]()
     for first in range(0, len(packets), _N_TOGETHER):
@@ -198,7 +192,8 @@ def _of_transport(data: mmap.mmap) -> Structure:
         jumps += [*(first + mine[(steps > 1) & (flags[mine] & _ANEW == 0)])]
         last = counts[-1] if counts.size else last
     # A recording of a broadcast may begin and end within a packet.
-    is_cut = data[0] == containers.SYNC and len(data) % packets.strides[0] > 0
+    is_whole = len(packets) < len(found) or len(data) % packets.strides[0] == 0
+    is_cut = data[0] == containers.SYNC and not is_whole
     joints = _joints(packets, np.array(images, np.intp), np.array(jumps, np.intp))
     n_faults += np.count_nonzero(~np.isin(np.searchsorted(images, jumps), joints))
     return Structure(len(images), int(n_faults), is_cut, 1 + len(joints))

@@ -203,6 +203,7 @@ def _require_one_camera(paths: list[Path]) -> None:
 
     Names of two cameras differ by more than numbers, or by a number after a word such as `cam`, and
     most of their other numbers are the same. Of times such as 0.25, the seconds are compared.
+    Beside numbered images, an image without a number is none of them, such as `mask.png`.
     """
     folder = Path(os.path.commonpath([path.parent for path in paths]))
     names, patterns = dict[str, list[list[str]]](), dict[str, str]()
@@ -219,11 +220,16 @@ def _require_one_camera(paths: list[Path]) -> None:
     for name, rows in names.items():
         columns = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
         frames[name] = set(zip(*columns, strict=True))
-    most = max(frames.values(), key=len)
-    cameras = [name for name in names if 2 * len(frames[name] & most) > len(frames[name])]
+    first = max(names, key=lambda name: len(frames[name]))
+    cameras = [
+        name
+        for name in names
+        if 2 * len(frames[name] & frames[first]) > len(frames[name])
+        or ("*" in first and "*" not in name)
+    ]
     if len(cameras) > 1:
         each = " and ".join(f"{len(names[name])} {name}" for name in cameras)
-        hint = f"Give those of one camera: '{folder / patterns[cameras[0]]}'."
+        hint = f"Give those of one camera: '{folder / patterns[first]}'."
         raise SourceError(str(folder), f"holds several series of images: {each}", hint)
 
 
@@ -253,8 +259,6 @@ _FAR_SHORTER = 3
 # up to 30 frames, 45 of 66 of 60 frames, and 7 of 33 of 300.
 _ALIKE, _N_COMPARED = 0.7, 12
 _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in BGR"
-# How to give an array whose images have their colours on this axis.
-_ORDERS = ("np.moveaxis(array, 1, -1)", "np.moveaxis(array, -1, 0)", "array")
 
 
 class ArrayDecoder(_Series):
@@ -304,15 +308,11 @@ class ArrayDecoder(_Series):
         is_float = image.dtype.kind == "f"
         is_known = is_float or image.dtype in (np.uint8, np.uint16)
         if not (is_picture and is_known and image.size):
-            hint = f"Give {_KINDS}."
-            colours = [at for at in range(3) if image.shape[at : at + 1] in ((1,), (3,), (4,))]
-            if image.ndim == 3 and colours:
-                part = 0 if image.shape[colours[0]] == 1 else ":3"
-                hint = f"Give {_ORDERS[colours[0]]}[..., {part}]."
-            raise SourceError(self._name, f"frame {self._index} is {kind}", hint)
+            raise SourceError(self._name, f"frame {self._index} is {kind}", f"Give {_KINDS}.")
         self._kind = self._kind or kind
         if kind != self._kind:
-            raise SourceError(self._name, f"frame {self._index} is {kind}, not {self._kind}")
+            why = f"frame {self._index} is {kind}, not {self._kind}"
+            raise SourceError(self._name, why, "Give frames of one size and type.")
         if is_float:
             low, high = float(image.min()), float(image.max())
             if not 0.0 <= low <= high <= 1.0:
@@ -351,10 +351,8 @@ def load_array(path: Path) -> Image:
         with array as arrays:
             if len(arrays.files) == 1:
                 return arrays[arrays.files[0]]
-            longest = max(arrays.zip.infolist(), key=lambda one: one.file_size).filename
     except Exception as error:  # a damaged header may also raise errors of Python's parser
         reason = getattr(error, "strerror", None) or "not an array of numbers in NumPy's format"
         raise SourceError(str(path), f"cannot be read ({reason})") from None
-    name = longest.removesuffix(".npy")
-    hint = f"Give one: in Python, dlgmd_cli.run(np.load({str(path)!r})[{name!r}])."
+    hint = f"Give one in Python: dlgmd_cli.run(np.load({str(path)!r})[NAME])."
     raise SourceError(str(path), f"holds the arrays {', '.join(arrays.files)}", hint)

@@ -22,7 +22,7 @@ def structure_of_mp4(data: mmap.mmap, track: int) -> Structure:
     tracks = [one for one in every if after_times(next(boxes([one], b"tkhd"))) == track]
     sizes = boxes(boxes(boxes(boxes(tracks, b"mdia"), b"minf"), b"stbl"), b"stsz")
     n_frames = sum(number_at(table, 8) for table in sizes)
-    n_faults = first = last = place = 0
+    n_faults = first = last = 0
     is_cut, is_unknown, before = False, False, b""
     for kind, at, content in _parts(data):
         if kind == b"moof" and is_fragmented:
@@ -30,11 +30,9 @@ def structure_of_mp4(data: mmap.mmap, track: int) -> Structure:
             first = first or (1 if n_frames else number)
             is_late = number > last + 1 and number != first
             n_faults += is_late and before != b""  # else it is counted already
-            n_frames, last, place = n_frames + n_more, number, at if n_more else place
+            n_frames, last = n_frames + n_more, number
         elif kind == b"mfra":  # the table of fragments, which ends the file
             is_open = False
-            tables = (table for table in boxes([content], b"tfra") if number_at(table, 4) == track)
-            is_cut = is_unknown = any(_last_listed(table) > place for table in tables)
         elif not kind and at + len(content) < len(data):
             n_faults += 1
         elif kind == b"cut" or (not kind and is_open and _is_lost(content, data[at - 8 : at])):
@@ -69,14 +67,6 @@ def _facts(fragment: memoryview, track: int) -> tuple[int, int]:
     mine = [part for part in parts if number_at(next(boxes([part], b"tfhd"), _NOTHING), 4) == track]
     n_frames = sum(number_at(run, 4) for run in boxes(mine, b"trun"))
     return number_at(next(boxes([fragment], b"mfhd"), _NOTHING), 4), n_frames
-
-
-def _last_listed(table: memoryview) -> int:
-    """Where the last fragment of a box tfra begins; 0 for an empty table."""
-    n_bytes = 8 if table[0] == 1 else 4
-    n_after = sum((table[11] >> bits & 3) + 1 for bits in (0, 2, 4))
-    end = len(table) - n_after
-    return int.from_bytes(table[end - n_bytes : end], "big") if number_at(table, 12) else 0
 
 
 def _is_lost(tail: memoryview, before: bytes) -> bool:

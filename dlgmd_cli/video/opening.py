@@ -414,14 +414,9 @@ def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
                 return None, _INTERLACED
         opened = OpenCVDecoder(name)
     if details is not None:
+        info = opened.info
         opened.info = replace(
-            opened.info,
-            codec=details.codec,
-            pixel_format=details.pixel_format,
-            bits=details.bits,
-            turned_deg=details.turned_deg,
-            is_mirrored=details.is_mirrored,
-            transfer=details.transfer,
+            details, fps_stated=info.fps_stated, n_frames=info.n_frames, levels=info.levels
         )
     return opened, ""
 
@@ -492,10 +487,7 @@ def _check_readable(path: Path) -> None:
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        array = f"np.moveaxis(scipy.io.loadmat({name!r})['NAME'], -1, 0)"
-        if start == b"MATLAB 7":  # of version 7.3 on: HDF5, whose axes are in reverse
-            array = f"h5py.File({name!r})['NAME'][:].swapaxes(-1, -2)"
-        hint = f"Give its array (H, W, n) in Python: dlgmd_cli.run({array})."
+        hint = "Read it by scipy.io.loadmat (h5py from 7.3 on), and give its array as (n, H, W)."
         raise SourceError(name, "is a file of MATLAB, not a video", hint)
     if start.startswith(PLAYLISTS):
         hint = "Give one of the videos it names."

@@ -33,8 +33,9 @@ ItemT = TypeVar("ItemT")
 # Duplicates are reported from this number on, if they exceed this share of all frames; equal images
 # that are kept are reported if runs of them are more than this share.
 _MANY_REPEATS, _MANY_REPEATS_SHARE, _MANY_RUNS_SHARE = 5, 0.05, 0.2
-# Samples of 16 bits that fit into this number of bits are far below white.
-_FEW_BITS = 14
+# Samples of 16 bits that fit into this number of bits are far below white; their range is narrow
+# if it is so many times less than that of their bits.
+_FEW_BITS, _NARROW = 14, 8
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ class Video:
         self.region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = ReadProgress()
-        self._bit_depth, self._brightest = bit_depth, 0
+        self._bit_depth, self._darkest, self._brightest = bit_depth, 1 << 16, 0
         self._given, self._given_report = given, ""
         self._file_fps = file_fps or info.fps
 
@@ -332,13 +333,14 @@ class Video:
         )
 
     def _look(self, image: Image) -> None:
-        """Note the brightest sample, see `_too_dark_or_bright`."""
+        """Note the darkest and the brightest sample, see `_too_dark_or_bright`."""
         is_clear = self._brightest > 1 if image.dtype == np.uint8 else image.dtype != np.uint16
         if not is_clear:
+            self._darkest = min(self._darkest, int(image.min()))
             self._brightest = max(self._brightest, int(image.max()))
 
     def _too_dark_or_bright(self) -> str:
-        brightest, (black, white) = self._brightest, self.info.levels
+        (black, white), darkest, brightest = self.info.levels, self._darkest, self._brightest
         if white == 255 and brightest == 1:
             return "all samples of 8 bits are 0 or 1, where white is 255; multiply them by 255"
         if self._bit_depth:
@@ -346,7 +348,13 @@ class Video:
             too_bright = f"samples up to {brightest} are cut off at white by {cut_by}"
             return too_bright if brightest > white else ""
         bits = max(8, brightest.bit_length())
-        if self.info.bits != 16 or brightest in (0, black) or bits > _FEW_BITS:
+        if self.info.bits != 16 or brightest in (0, black, darkest):
+            return ""
+        if _NARROW * (brightest - darkest) < 1 << bits:  # such as the counts of a thermal camera
+            why = f"all samples of 16 bits are from {darkest} to {brightest}, almost equal"
+            spread = f"dlgmd_cli.run((images - {darkest}) / {brightest - darkest})"
+            return f"{why}; spread them over the range from 0 to 1, in Python by {spread}"
+        if bits > _FEW_BITS:
             return ""
         why = f"all samples of 16 bits are {brightest} or less, where white is {white}"
         return f"{why}; if the camera has {bits} bits, give {argument('bit_depth', bits)}"

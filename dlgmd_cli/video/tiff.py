@@ -5,7 +5,7 @@ import math
 import mmap
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +29,9 @@ _N_SEARCHED = 1 << 23
 _AXES = {"C": "channels", "Z": "slices", "T": "frames"}
 _SECONDS = {"h": 3600.0, "min": 60.0, "": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "ns": 1e-9}
 _SECONDS |= dict.fromkeys(("us", "µs", "μs", r"\u00B5s"), 1e-6)
+
+_ONE_SERIES = "Save one series of frames as a file of its own (in ImageJ, by Image > Duplicate)."
+_AS_IMAGES = "Save them as a folder of images (in ImageJ, by File > Save As > Image Sequence)."
 
 
 def n_pages(path: Path) -> int:
@@ -55,14 +58,9 @@ class TiffDecoder(ArrayDecoder):
         n_frames, remark = math.prod(axes.values()), ""
         if n_frames == self._n_pages or (self._is_cut and n_frames > self._n_pages):
             if len(axes) > 1:
-                pages = f"cv2.imreadmulti({str(path)!r}, flags={AS_STORED})[1][{_first(axes)}]"
-                hint = f"In Python, dlgmd_cli.run({pages}) takes the first series of frames."
-                raise SourceError(str(path), f"holds {sizes}", hint)
+                raise SourceError(str(path), f"holds {sizes}", _ONE_SERIES)
         elif self._n_pages == 1 and axes:
-            index = ", ".join(":" if name == _time_axis(axes) else "0" for name in axes)
-            array = f"tifffile.memmap({str(path)!r})[{index}]"
-            hint = f"In Python, with the package tifffile, dlgmd_cli.run({array}) reads them."
-            raise SourceError(str(path), f"has a single page for {sizes}", hint)
+            raise SourceError(str(path), f"has a single page for {sizes}", _AS_IMAGES)
         else:
             remark = "" if not axes else f"it has {self._n_pages} images, but states {sizes}"
             n_frames, self._times = self._n_pages, []
@@ -151,19 +149,6 @@ def _axes(text: str, n_pages: int) -> dict[str, int]:
     if n_channels := len(re.findall(r"<(?:\w+:)?Channel\b", text)):  # with colour, of 3 samples
         axes["channels"] = n_channels // axes["series"]
     return {name: n for name, n in axes.items() if n > 1}
-
-
-def _time_axis(axes: Mapping[str, int]) -> str:
-    """The axis that is most likely to be time."""
-    return "frames" if "frames" in axes else max(axes, key=lambda name: axes[name])
-
-
-def _first(axes: Mapping[str, int]) -> str:
-    """The slice of the pages that are the first channel and slice of each frame."""
-    at = [*axes].index(_time_axis(axes))
-    n_frames, *faster = [*axes.values()][at:]
-    step = math.prod(faster)
-    return f"0:{step * n_frames}:{step}"
 
 
 def _times(text: str, n_images: int) -> tuple[float, list[float]]:

@@ -87,6 +87,18 @@ def test_video_of_16_bits_whose_levels_end_lower(tmp_path, name, bits):
     assert np.abs(shown[..., 0].astype(int) - looming_frames(20)[0]).max() <= 2
 
 
+@pytest.mark.parametrize("low", [7000, 27315])
+def test_the_narrow_range_of_a_thermal_camera_is_told(low):
+    images = 4 * np.array(looming_frames(20), np.uint16) + low
+    with open_video(images, input_fps=25) as video:
+        list(video)
+        (line,) = video.progress.warnings
+    assert f"from {images.min()} to {images.max()}" in line
+    call = line.partition("run(")[2]
+    spread = eval(call[:-1], {"images": images})
+    assert (spread.min(), spread.max()) == (0, 1)
+
+
 def test_samples_of_other_bits_end_a_sequence(tmp_path):
     for number, frame in enumerate(looming_frames(6)):
         deep = frame.astype(np.uint16) * 257

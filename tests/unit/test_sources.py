@@ -374,14 +374,9 @@ COLOUR = np.array(FRAMES)[..., None].repeat(4, 3)
     ],
     ids=["n3HW", "n4HW", "n1HW", "HW3n", "nHW4", "nHW1"],
 )
-def test_colours_on_another_axis_are_refused_with_a_call_that_works(array):
-    with pytest.raises(SourceError) as error:
+def test_colours_on_another_axis_are_refused(array):
+    with pytest.raises(SourceError, match=r"frame 0 is uint8 of .*, of shape \(H, W\) or"):
         open_video(array)
-    call = error.value.hint.removeprefix("Give ").removesuffix(".")
-    with open_video(eval(call, {"np": np, "array": array})) as video:
-        greys = [frame.grey for frame in video]
-    with open_video(FRAMES) as video:
-        np.testing.assert_array_equal(greys, [frame.grey for frame in video])
 
 
 @pytest.mark.usefixtures("here")
@@ -392,16 +387,15 @@ def test_an_npz_file_of_one_array_is_read_and_others_are_refused():
     np.savez("two.npz", t=np.arange(20.0), frames=FRAMES)
     with pytest.raises(SourceError, match="holds the arrays t, frames") as error:
         open_video("two.npz")
-    assert error.value.hint.endswith(": in Python, dlgmd_cli.run(np.load('two.npz')['frames']).")
+    assert error.value.hint.endswith(" in Python: dlgmd_cli.run(np.load('two.npz')[NAME]).")
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(("version", "reader"), [("5.0", "scipy.io.loadmat"), ("7.3", "h5py")])
-def test_a_file_of_matlab_is_refused_with_a_call(version, reader):
+@pytest.mark.parametrize("version", ["5.0", "7.3"])
+def test_a_file_of_matlab_is_refused_with_a_hint(version):
     Path("x.mat").write_bytes(f"MATLAB {version} MAT-file".encode() + bytes(200))
-    with pytest.raises(SourceError, match="is a file of MATLAB, not a video") as error:
+    with pytest.raises(SourceError, match=r"is a file of MATLAB, not a video.*scipy.io.loadmat"):
         open_video("x.mat")
-    assert reader in error.value.hint
 
 
 def named(folder, names):
@@ -426,6 +420,7 @@ def named(folder, names):
         ("left_16{}.11.png", "right_16{}.52.png"),
         ("img_t{:03}_z01_c0.png", "img_t{:03}_z01_c1.png"),
         ("left/{:04}.png", "right/{:04}.png"),
+        ("{:04}.png", "mask.png"),
     ],
 )
 def test_images_of_two_cameras_are_refused_with_a_pattern_that_works(tmp_path, cameras):
@@ -446,7 +441,7 @@ def test_images_of_two_cameras_are_refused_with_a_pattern_that_works(tmp_path, c
         [f"{number:04}_{'blur' if number % 3 else 'ok'}.png" for number in range(40)],
         [f"{number:04}.{'jpg' if number % 9 else 'png'}" for number in range(40)],
         [f"part{1 + number // 20}_{number:04}.png" for number in range(40)],
-        [*(f"{number:04}.png" for number in range(37)), "0003 copy.png", "dark.png", "x.png"],
+        [*(f"{number:04}.png" for number in range(39)), "0003 copy.png"],
         [f"{np.random.default_rng(number).bytes(4).hex()}.png" for number in range(40)],
     ],
 )

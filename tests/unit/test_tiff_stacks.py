@@ -95,32 +95,29 @@ def imagej(**facts):
 
 
 @pytest.mark.parametrize(
-    ("description", "sizes", "taken"),
+    ("description", "sizes"),
     [
-        (imagej(images=20, channels=2, frames=10), "10 frames x 2 channels", range(0, 20, 2)),
-        (imagej(images=20, slices=4, frames=5), "5 frames x 4 slices", range(0, 20, 4)),
-        (imagej(channels=2, slices=10), "10 slices x 2 channels", range(0, 20, 2)),
-        (imagej(channels=2, slices=2, frames=5), "5 frames x 2 slices x 2 ch", range(0, 20, 4)),
-        (ome_axes("XYCZT", channels=2, frames=10), "10 frames x 2 channels", range(0, 20, 2)),
-        (ome_axes("XYZTC", channels=2, frames=10), "2 channels x 10 frames", range(10)),
-        (ome_axes("XYCTZ", 2, 2, 5), "2 slices x 5 frames x 2 channels", range(0, 10, 2)),
-        (ome_axes("XYCZT", frames=10) + ome_axes("XYCZT", frames=10), "10 frames", range(20)),
-        ('{"shape": [10, 2, 24, 32]}', "10 on axis 0 x 2 on axis 1", range(0, 20, 2)),
+        (imagej(images=20, channels=2, frames=10), "10 frames x 2 channels"),
+        (imagej(images=20, slices=4, frames=5), "5 frames x 4 slices"),
+        (imagej(channels=2, slices=10), "10 slices x 2 channels"),
+        (imagej(channels=2, slices=2, frames=5), "5 frames x 2 slices x 2 channels"),
+        (ome_axes("XYCZT", channels=2, frames=10), "10 frames x 2 channels"),
+        (ome_axes("XYZTC", channels=2, frames=10), "2 channels x 10 frames"),
+        (ome_axes("XYCTZ", 2, 2, 5), "2 slices x 5 frames x 2 channels"),
+        ('{"shape": [10, 2, 24, 32]}', "10 on axis 0 x 2 on axis 1"),
     ],
 )
-def test_a_stack_of_more_than_frames_is_refused_with_a_call_that_works(
-    tmp_path, description, sizes, taken
-):
+def test_a_stack_of_more_than_frames_is_refused(tmp_path, description, sizes):
     path = described(tmp_path / "x.tif", KINDS["8 bits"], description)
-    if len(taken) == 20:  # of two series, of which the first description is read
-        with open_video(path) as video:
-            assert f"it has 20 images, but states {sizes}" in video.progress.warnings
-        return
-    with pytest.raises(SourceError) as error:
+    with pytest.raises(SourceError, match="Image > Duplicate") as error:
         open_video(path)
-    assert error.value.why.startswith(f"holds {sizes}")
-    call = error.value.hint.partition("run(")[2].partition(") takes")[0]
-    np.testing.assert_array_equal(eval(call, {"cv2": cv2}), KINDS["8 bits"][taken])
+    assert error.value.why == f"holds {sizes}"
+
+
+def test_a_stack_of_two_series_is_read_and_says_so(tmp_path):
+    description = ome_axes("XYCZT", frames=10) + ome_axes("XYCZT", frames=10)
+    with open_video(described(tmp_path / "x.tif", KINDS["8 bits"], description)) as video:
+        assert "it has 20 images, but states 10 frames" in video.progress.warnings
 
 
 @pytest.mark.parametrize(
@@ -197,11 +194,11 @@ def test_a_stack_that_is_cut_off_says_so(tmp_path, share, compression, descripti
 
 def test_one_page_for_many_images_is_refused(tmp_path):
     path = described(tmp_path / "x.tif", KINDS["8 bits"][:1], imagej(images=60, frames=60))
-    with pytest.raises(SourceError, match=r"single page for 60 frames.*tifffile.memmap\('"):
+    with pytest.raises(SourceError, match=r"single page for 60 frames.*Image Sequence"):
         open_video(path)
-    described(path, KINDS["8 bits"][:1], imagej(frames=30, channels=2))
-    with pytest.raises(SourceError, match=r"30 frames x 2 channels.*x.tif'\)\[:, 0\]\)"):
-        open_video(path)
+
+
+def test_an_array_of_the_other_byte_order():
     big_endian = KINDS["16 bits"].astype(">u2")  # as tifffile maps it
     with open_video(big_endian) as video, open_video(KINDS["16 bits"]) as other:
         for frame, expected in zip(video, other, strict=True):
