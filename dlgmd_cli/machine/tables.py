@@ -208,9 +208,10 @@ def read_table(path: Path, fault: type[DlgmdError], hint: str = "") -> TextTable
     for row, cells in enumerate(table.rows):
         if len(cells) > len(names):
             if any(map(str.strip, cells[len(names) :])):
-                why = f"it has {counted(len(cells), 'cell')}, the first line {len(names)}"
+                line = table.lines[row]
+                why = f"line {line} has {counted(len(cells), 'cell')}, the first line {len(names)}"
                 hint = "Write a cell that contains a separator in quotes, and 0.5 for 0,5."
-                raise table.at(row, "", why, hint)
+                raise fault(str(path), why, hint)
             del cells[len(names) :]
     return table
 
@@ -244,7 +245,7 @@ def _lines(path: Path, fault: type[DlgmdError], hint: str) -> tuple[str, list[st
 
 def _decoded(data: bytes) -> tuple[str, str]:
     """The encoding and the text; raises ValueError if the data are not text."""
-    name, codec = "UTF-8", "utf-8-sig"
+    name, codec = "UTF-8", "utf-8"
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         name, codec = "UTF-16", "utf-16"
     try:
@@ -253,7 +254,7 @@ def _decoded(data: bytes) -> tuple[str, str]:
         name, text = "cp1252", data.decode("cp1252")
     if "\0" in text:
         raise ValueError("no text")
-    return name, text
+    return name, text.lstrip("\ufeff")
 
 
 def _delimiter(line: str) -> str:
@@ -278,7 +279,7 @@ def _rows(
             rows.append(cells)
             lines_of.append(numbers[reader.line_num - 1] + 1)
     except csv.Error as error:
-        why = f"the row below line {lines_of[-1] if rows else first} cannot be read ({error})"
+        why = f"the row in line {1 + (lines_of[-1] if rows else first)} cannot be read ({error})"
         raise fault(str(path), why, "Check its quotes.") from None
     while rows and not any(map(str.strip, rows[-1])):
         rows.pop()

@@ -91,10 +91,10 @@ def test_times_of_day_and_dates(cell, value):
     ("text", "why"),
     [
         ("a,b\n1,2\n3,x\n", "line 3, column b: 'x' is no number. Write 12.5."),
-        ("a,b\n1,0,5\n", "line 2: it has 3 cells, the first line 2. Write a cell"),
+        ("a,b\n1,0,5\n", "line 2 has 3 cells, the first line 2. Write a cell"),
         ('a,b\n1,"1,234"\n', "line 2, column b: '1,234' may be a thousand times 1.234."),
         ("b\tb\n1\t2\n", "has the column b twice"),
-        ('a,b\n1,"2\n3,4\n', "the row below line 1 cannot be read"),
+        ('a,b\n1,"2\n3,4\n', "the row in line 2 cannot be read"),
         (b"PK\x03\x04\0\0", "(not a CSV file). Save it as CSV"),
         ("a,b\n1,2\n" + "\n" * 999, "is larger than 0 MiB. Split it"),
     ],
