@@ -4,13 +4,13 @@ import codecs
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date
-from decimal import Decimal, InvalidOperation
+from datetime import datetime
 from io import StringIO
+from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,31 +18,27 @@ import numpy.typing as npt
 from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.machine.files import open_regular
 
-MAX_BYTES = 1 << 26
-# If a line has equally many of two delimiters, the first of them separates the cells.
+MAX_BYTES = 1 << 30
+# The first of them that the first line has separates the cells.
 _DELIMITERS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas"}
 # A character that no text has: the delimiter of a table with a single column.
 _NONE = "\x1f"
 PLAIN = "UTF-8, separated by commas"
 _MOST_NAMED = 12
-# Excel's first line, which names the delimiter. A comment before the header, and below it, where
-# the name of a video may begin with #.
-_SEP = re.compile(r'"?sep=(.)"?[,;\t]*\s*', re.I)
-_COMMENT, _COMMENT_BELOW = re.compile(r"\s*[#%]"), re.compile(r"\s*[#%](\s|$)")
+# What may stand above a table: nothing, a comment, and Excel's line that names the delimiter.
+_SEP = re.compile(r'"?sep=(.)', re.I)
+_ABOVE = re.compile(rf"\s*([#%]|$)|{_SEP.pattern}", re.I)
+# Comments below the header; the name of a video may begin with #.
+_COMMENTS = ("# ", "% ")
 EMPTY = frozenset(("", "-", "–", "--", "na", "n/a", "nan", "none", "null"))
-# Cells of a row of units: a unit, brackets, or a word for a column without one.
 _UNIT = re.compile(
-    r"(?i)[\[(].*[\])]|[nuµμm]?s|sec|seconds|min|h|[km]?m|cm|(m|km)/[sh]|deg|°|degrees|rad|px|1/s|hz"
-    r"|frames?|#|-|–|text|string|path|file|name|n/?a|none|no\.?"
+    r"(?i)[\[(]?([nuµμm]?s|sec|seconds|min|h|[km]?m|cm|k?m/[sh]|deg|°|degrees|rad|px|1/s|hz)[\])]?"
 )
-# 1,234,567.8 or 1.234.567,8; a single group could also be three decimals.
-_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*(?:(?!\1)[.,]\d*)?")
+# 1,234 in a table with commas: a group of thousands, or three decimals.
 _ONE_GROUP = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
-_DATE = re.compile(r"(\d{4})[-/](\d\d?)[-/](\d\d?)[T ]\s*")
 _CLOCK = re.compile(
-    r"(?:(?P<days>\d+) days?,? )?(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>[0-5]\d(?:[.,]\d+)?)"
-    r"\s*(?:Z|UTC|(?P<sign>[+-])(?P<zone_h>\d\d):?(?P<zone_m>\d\d))?",
-    re.I,
+    r"(?:(?P<date>\d{4}[-/]\d\d?[-/]\d\d?)[T ]\s*(?=\d+:\d+:)|(?P<days>\d+) days?,? )?"
+    r"(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>[0-5]\d(?:[.,]\d+)?)\s*(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
 
 
@@ -52,53 +48,39 @@ def plain(name: str) -> str:
     return re.sub(r"[^a-z0-9µμ]+", "_", parted.lower()).strip("_")
 
 
-def number(text: str) -> Decimal | None:
-    """The number in a cell, also ``0,5``, ``1.234,5`` and ``1 234``; None if it is no number."""
-    text = re.sub(r"(?<=\d)[\s'](?=\d{3}(?!\d))", "", text.strip().replace("−", "-"))
-    groups = _GROUPED.fullmatch(text)
-    if groups and (text.count(groups[1]) > 1 or {".", ","} <= {*text}):
-        text = text.replace(groups[1], "")
+def number(text: str) -> float | None:
+    """The number in a cell, also ``0,5`` and ``1 234``; None if it is no number, or infinite."""
+    text = re.sub(r"(?<=\d)[\s'](?=\d{3}(?!\d))", "", text.replace("−", "-"))
     try:
-        found = Decimal(text.replace(",", "."))
-    except InvalidOperation:
+        found = float(text.replace(",", "."))
+    except ValueError:
         return None
-    return found if found.is_finite() else None
+    return found if math.isfinite(found) else None
 
 
-def clock(text: str) -> Decimal | None:
+def clock(text: str) -> float | None:
     """The seconds of ``hh:mm:ss``, ``mm:ss``, or of a date and a time since 1970; None otherwise.
 
     Fractions may follow the seconds, and ``Z`` or ``+02:00`` the time. A date without a zone is
-    taken as UTC.
+    taken as UTC. Seconds since 1970 are exact to 0.2 µs.
     """
-    text = text.strip()
-    day = _DATE.match(text)
-    match = _CLOCK.fullmatch(text[day.end() :] if day else text)
+    match = _CLOCK.fullmatch(text.strip())
     if match is None:
         return None
-    hours, minutes, seconds = match["h"], match["m"], match["s"].replace(",", ".")
-    if day and hours is None:  # 2026-05-01 12:30
-        hours, minutes, seconds = minutes, seconds, "0"
-    n_days = int(match["days"] or 0)
-    try:
-        n_days += (date(*map(int, day.groups())) - date(1970, 1, 1)).days if day else 0
-    except ValueError:
-        return None
-    zone = 60 * int(match["zone_h"] or 0) + int(match["zone_m"] or 0)
-    n_minutes = (24 * n_days + int(hours or 0)) * 60 + int(minutes)
-    return 60 * Decimal(n_minutes + (zone if match["sign"] == "-" else -zone)) + Decimal(seconds)
+    start_s = 86400.0 * int(match["days"] or 0)
+    if match["date"]:
+        day = match["date"].replace("/", "-") + (match["zone"] or "Z")
+        try:
+            start_s = datetime.strptime(day, "%Y-%m-%d%z").timestamp()
+        except ValueError:
+            return None
+    minutes = 60 * int(match["h"] or 0) + int(match["m"])
+    return start_s + 60 * minutes + float(match["s"].replace(",", "."))
 
 
 def listed(names: Sequence[str]) -> str:
     """Names of columns, in words."""
     return printable(", ".join(names[:_MOST_NAMED]) + (", …" if names[_MOST_NAMED:] else ""))
-
-
-class Row(NamedTuple):
-    """A row: its line in the file, and its cells, which may be fewer than the columns."""
-
-    line: int
-    cells: list[str]
 
 
 @dataclass(frozen=True)
@@ -111,8 +93,10 @@ class TextTable:
         The file.
     names, units : list of str
         The header, empty where there is none, and the cells of a row of units below.
-    rows : list of Row
-        The rows; an empty row has no cells.
+    rows : list of list of str
+        The cells of the rows, which may be fewer than the columns.
+    lines : list of int
+        The line in the file at which each row ends.
     remark : str
         The comments before the table.
     form : str
@@ -124,7 +108,8 @@ class TextTable:
     path: Path
     names: list[str]
     units: list[str]
-    rows: list[Row]
+    rows: list[list[str]]
+    lines: list[int]
     remark: str
     form: str
     fault: type[DlgmdError]
@@ -152,113 +137,102 @@ class TextTable:
         at = self.place(name)
         if at is None:
             return [""] * len(self.rows)
-        return [cells[at] if at < len(cells) else "" for _, cells in self.rows]
+        try:
+            return [*map(itemgetter(at), self.rows)]
+        except IndexError:
+            return [cells[at] if at < len(cells) else "" for cells in self.rows]
 
     def numbers(self, name: str, *, clocks: bool = False) -> npt.NDArray[np.float64]:
-        """The numbers of a column, (n,), NaN for empty cells, see `decimals`."""
+        """The numbers of a column, (n,), NaN for empty cells; with `clocks`, also of times in s.
+
+        Raises an error for another text, and for ``1,234`` in a table with commas where no other
+        cell of the column has a decimal comma.
+        """
         try:
             return np.array([float(cell or "nan") for cell in self._cells(name)])
         except ValueError:
-            read = self.decimals(name, clocks=clocks)
-        return np.array([math.nan if one is None else float(one) for one in read])
-
-    def decimals(self, name: str, *, clocks: bool = False) -> list[Decimal | None]:
-        """The exact numbers of a column; with `clocks`, of times as `clock` reads them, in s.
-
-        None for empty cells. Raises an error for another text, and for ``1,234`` in a table with
-        commas where no other cell of the column has a decimal comma.
-        """
-        cells, read = self.texts(name), list[Decimal | None]()
-        is_decimal = any("," in cell and not _GROUPED.fullmatch(cell) for cell in cells)
-        is_open = not is_decimal and "commas" in self.form
+            cells = self.texts(name)
+        is_decimal = any("," in cell and not _ONE_GROUP.fullmatch(cell) for cell in cells)
+        is_open = "commas" in self.form and not is_decimal
+        numbers = np.full(len(cells), math.nan)
         for row, cell in enumerate(cells):
             if cell.lower() in EMPTY:
-                read.append(None)
                 continue
+            if is_open and _ONE_GROUP.fullmatch(cell):
+                why = f"{cell!r} may be a thousand times {cell.replace(',', '.')}"
+                raise self.at(row, name, why, "Write it without a comma.")
             found = number(cell)
             if found is None and clocks:
                 found = clock(cell)
             if found is None:
                 times = ", or a time as 00:01:12.5" if clocks else ""
                 raise self.at(row, name, f"{cell[:40]!r} is no number", f"Write 12.5{times}.")
-            if is_open and _ONE_GROUP.fullmatch(cell):
-                raise self.at(row, name, *thousands(cell))
-            read.append(found)
-        return read
+            numbers[row] = found
+        return numbers
 
     def at(self, row: int, name: str, why: str, hint: str = "") -> DlgmdError:
         """The error about a cell, or about a row if `name` is empty."""
-        where = f"line {self.rows[row].line}" + (f", column {name}" if name else "")
+        where = f"line {self.lines[row]}" + (f", column {name}" if name else "")
         return self.fault(str(self.path), f"{where}: {printable(why)}", hint)
 
 
-def thousands(cell: str) -> tuple[str, str]:
-    """Why ``1,234`` may be read in two ways, and what to write."""
-    whole, part = re.split("[.,]", cell)
-    small = f"{whole}.{part}".rstrip("0").rstrip(".")
-    return f"{cell!r} may be a thousand times {small}", f"Write {whole}{part} or {small}."
-
-
-def read_table(
-    path: Path, fault: type[DlgmdError], hint: str = "", *, limited: bool = True
-) -> TextTable:
+def read_table(path: Path, fault: type[DlgmdError], hint: str = "") -> TextTable:
     """Read a table of any program, such as a spreadsheet, pandas, R, or a camera.
 
-    The encoding is that of the byte order mark, else UTF-8, UTF-16 or cp1252. Cells are separated
-    by commas, semicolons, tabs or bars, whichever the first line has most of; ``sep=;`` may stand
+    The encoding is that of the byte order mark, else UTF-8 or cp1252. Cells are separated by tabs,
+    semicolons, bars or commas, the first of them that the first line has; ``sep=;`` may stand
     before it. Lines that begin with ``#`` are comments. If the first row has numbers, the header is
     the comment before it, if that has as many cells.
 
     Raises the error `fault` if the file cannot be read as a table, with `hint` if it is missing or
-    no text, and if it is larger than 64 MiB, unless it is not `limited`.
+    no text, and if it is larger than 1 GiB.
     """
-    encoding, lines = _lines(path, fault, hint, limited=limited)
-    sep, first, remarks = _SEP.fullmatch(lines[0] if lines else ""), 0, [""]
-    if sep:
-        lines[0] = ""
-    while first < len(lines) and (not lines[first].strip() or _COMMENT.match(lines[first])):
-        remarks.append(lines[first].strip().lstrip("#% "))
-        first += 1
-    start = "".join(lines[first : first + 1])
-    head = next(filter(None, reversed(remarks)), "")
-    mark = sep[1] if sep else _delimiter(head if head and start[:1].isdigit() else start)
+    encoding, lines = _lines(path, fault, hint)
+    above = [*takewhile(_ABOVE.match, lines)]
+    remarks = [line.strip().lstrip("#% ") for line in above if not _SEP.match(line)]
+    sep = _SEP.match(above[0]) if above else None
+    mark = sep[1] if sep else _delimiter("".join(lines[len(above) : len(above) + 1]))
     form = f"separated by {_DELIMITERS.get(mark, repr(mark))}" if mark != _NONE else "in one column"
-    rows = [*_rows(path, lines, first, mark, fault)]
-    while rows and not any(map(str.strip, rows[-1].cells)):
-        rows.pop()
-    names = _header(rows, next(csv.reader([head], delimiter=mark, skipinitialspace=True), []))
-    units = rows.pop(0).cells if rows and _are_units(rows[0].cells) else []
-    for line, cells in rows:
-        if any(map(str.strip, cells[len(names) :])):
-            why = f"line {line} has {counted(len(cells), 'cell')}, the first line {len(names)}"
-            hint = "Write a cell that contains a separator in quotes, and 0.5 for 0,5."
-            raise fault(str(path), why, hint)
-        del cells[len(names) :]
-    return TextTable(path, names, units, rows, " ".join(remarks), f"{encoding}, {form}", fault)
+    rows, lines_of = _rows(path, lines, len(above), mark, fault)
+    comment = next(filter(None, reversed(remarks)), "")
+    names, n_head = [], 0
+    if rows:
+        names = _header(rows[0], next(csv.reader([comment], delimiter=mark), []))
+        n_head += not any(map(_is_value, rows[0]))
+    units = rows[n_head] if rows[n_head:] and _are_units(rows[n_head]) else []
+    n_head += bool(units)
+    form = f"{encoding}, {form}"
+    table = TextTable(
+        path, names, units, rows[n_head:], lines_of[n_head:], " ".join(remarks), form, fault
+    )
+    for row, cells in enumerate(table.rows):
+        if len(cells) > len(names):
+            if any(map(str.strip, cells[len(names) :])):
+                line = table.lines[row]
+                why = f"line {line} has {counted(len(cells), 'cell')}, the first line {len(names)}"
+                hint = "Write a cell that contains a separator in quotes, and 0.5 for 0,5."
+                raise fault(str(path), why, hint)
+            del cells[len(names) :]
+    return table
 
 
-def _header(rows: list[Row], comment: list[str]) -> list[str]:
-    """The names of the columns, taken from the rows; those in the `comment` if rows begin at once.
+def _header(first: list[str], comment: list[str]) -> list[str]:
+    """The names of the columns: the first row, or the `comment` above if that row has values.
 
-    Without a header, names are empty. Cells without a name at the end of a header are left out.
+    Cells without a name at the end are left out; without a header, names are empty.
     """
-    names = rows[0].cells if rows else []
-    if any(_is_value(cell) for cell in names):
-        names = comment if len(comment) == len(names) else [""] * len(names)
-    elif rows:
-        del rows[0]
-    n_named = max((at for at, name in enumerate(names, 1) if name.strip()), default=len(names))
-    return [name.strip() for name in names[:n_named]]
+    n_columns = max((at for at, cell in enumerate(first, 1) if cell.strip()), default=0)
+    if any(map(_is_value, first)):
+        first = comment if len(comment) == len(first) else [""] * n_columns
+    return [name.strip() for name in first[:n_columns]]
 
 
-def _lines(
-    path: Path, fault: type[DlgmdError], hint: str, *, limited: bool
-) -> tuple[str, list[str]]:
+def _lines(path: Path, fault: type[DlgmdError], hint: str) -> tuple[str, list[str]]:
     """The encoding of a file, and its lines; raises `fault` if it is missing or no text."""
     try:
         with open_regular(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1 if limited else -1)
-        if limited and len(data) > MAX_BYTES:
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
             raise fault(str(path), f"is larger than {MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
     except FileNotFoundError:
@@ -274,8 +248,6 @@ def _decoded(data: bytes) -> tuple[str, str]:
     name, codec = "UTF-8", "utf-8"
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         name, codec = "UTF-16", "utf-16"
-    elif data[:2].count(0) == 1:  # without a byte order mark, before a Latin letter
-        name, codec = "UTF-16", "utf-16-le" if data[0] else "utf-16-be"
     try:
         text = data.decode(codec)
     except UnicodeDecodeError:
@@ -286,38 +258,40 @@ def _decoded(data: bytes) -> tuple[str, str]:
 
 
 def _delimiter(line: str) -> str:
-    """The most frequent delimiter outside quotes; a comma between digits counts if it is alone."""
-    outside = re.sub('"[^"]*"', "", line)
-    if any(mark in outside for mark in "\t;|"):
-        outside = re.sub(r"(?<=\d),(?=\d)", "", outside)
-    mark = max(_DELIMITERS, key=outside.count)
-    return mark if mark in outside else _NONE
+    """The delimiter of a table by its first line; `_NONE` for a single column."""
+    outside_quotes = re.sub('"[^"]*"', "", line)
+    return next((mark for mark in _DELIMITERS if mark in outside_quotes), _NONE)
 
 
 def _rows(
     path: Path, lines: list[str], first: int, mark: str, fault: type[DlgmdError]
-) -> Iterator[Row]:
-    """The rows from line `first` on, without comments; raises `fault`."""
-    comments = {at for at, line in enumerate(lines) if at > first and _COMMENT_BELOW.match(line)}
-    kept = ("\n" if at in comments else lines[at] for at in range(first, len(lines)))
-    reader, at = csv.reader(kept, delimiter=mark, strict=True, skipinitialspace=True), first
+) -> tuple[list[list[str]], list[int]]:
+    """The rows from line `first` on, without comments, and their lines; raises `fault`.
+
+    Empty rows at the end are left out.
+    """
+    numbers = [n for n in range(first, len(lines)) if not lines[n].startswith(_COMMENTS)]
+    kept = (lines[n] for n in numbers)
+    reader = csv.reader(kept, delimiter=mark, strict=True, skipinitialspace=True)
+    rows, lines_of = list[list[str]](), list[int]()
     try:
         for cells in reader:
-            if at not in comments:
-                yield Row(at + 1, cells)
-            at = first + reader.line_num
+            rows.append(cells)
+            lines_of.append(numbers[reader.line_num - 1] + 1)
     except csv.Error as error:
-        why = f"the row in line {at + 1} cannot be read ({error})"
+        why = f"the row in line {1 + (lines_of[-1] if rows else first)} cannot be read ({error})"
         raise fault(str(path), why, "Check its quotes.") from None
+    while rows and not any(map(str.strip, rows[-1])):
+        rows.pop()
+    return rows, lines_of
 
 
 def _is_value(cell: str) -> bool:
     """Whether a cell has a number or a time, so that its row is no header."""
-    return any(map(str.isdigit, cell)) and (number(cell) is not None or clock(cell) is not None)
+    return number(cell) is not None or clock(cell) is not None
 
 
 def _are_units(row: list[str]) -> bool:
-    """Whether a row has units alone, more than the first one of several columns."""
-    filled = [at for at, cell in enumerate(row) if cell.strip()]
-    is_enough = len(filled) > 1 or filled[:1] > [0] or (bool(filled) and len(row) == 1)
-    return is_enough and all(_UNIT.fullmatch(row[at].strip()) for at in filled)
+    """Whether a row has a unit, behind the first of several columns, and no value."""
+    is_unit = any(_UNIT.fullmatch(cell.strip()) for cell in row[1:] or row)
+    return is_unit and not any(map(_is_value, row))

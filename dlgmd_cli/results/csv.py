@@ -9,7 +9,6 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, ResultError, argument, printable
-from dlgmd_cli.machine.tables import Row, TextTable, read_table
+from dlgmd_cli.machine.tables import read_table
 from dlgmd_cli.models import detection
 from dlgmd_cli.models.columns import MP, SPIKES, TABLES, Column, columns_of
 from dlgmd_cli.models.detection import AlarmSpan, Detection
@@ -152,17 +151,19 @@ def read_columns(path: Path, header: tuple[str, ...], *, complete: bool = True) 
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.
     """
-    table = _read(path, header, complete=complete)
-    return {name: column for name, column in _checked(table).items() if name in header}
+    columns = _read(path, header, complete=complete)
+    _require_order(path, columns)
+    return {name: column for name, column in columns.items() if name in header}
 
 
 def read_comparison_columns(path: Path) -> dict[str, Columns]:
     """Label -> columns of a compare.csv, in the file's order of labels; raises ResultError."""
-    table = _read(path, COMPARISON)
-    by_label: dict[str, list[Row]] = {}
-    for row in table.rows:
-        by_label.setdefault(row.cells[0], []).append(row)
-    return {label: _checked(replace(table, rows=rows)) for label, rows in by_label.items()}
+    columns, by_label = _read(path, COMPARISON), dict[str, Columns]()
+    labels = columns.pop(COMPARISON[0])
+    for label in dict.fromkeys(labels.tolist()):
+        by_label[label] = {name: column[labels == label] for name, column in columns.items()}
+        _require_order(path, by_label[label])
+    return by_label
 
 
 def contact_beside(path: str) -> float | None:
@@ -176,29 +177,30 @@ def contact_beside(path: str) -> float | None:
     return contact_s if math.isfinite(contact_s) else None
 
 
-def _read(path: Path, header: tuple[str, ...], *, complete: bool = True) -> TextTable:
-    """A table, whose columns are checked against `header`, with all cells in each row."""
-    table = read_table(path, ResultError, _run_again(), limited=False)
+def _read(path: Path, header: tuple[str, ...], *, complete: bool = True) -> Columns:
+    """The columns of a table whose header is checked against `header`; raises ResultError."""
+    table = read_table(path, ResultError, _run_again())
     names, rows = table.names, table.rows
     is_whole = _NEEDED.intersection(header) <= set(names) and names[:1] == [*header[:1]]
     if not is_whole or len(set(names)) < len(names):
         raise ResultError(str(path), f"its columns are not {','.join(header)}", _run_again())
-    if not complete and rows and len(rows[-1].cells) < len(names):
+    if not complete and rows and len(rows[-1]) < len(names):
         del rows[-1]
-    for row, (_, cells) in enumerate(rows):
+    if not rows:
+        raise ResultError(str(path), "contains no frames", _run_again())
+    for row, cells in enumerate(rows):
         if len(cells) != len(names):
             raise table.at(row, "", f"it does not have {len(names)} cells", _run_again())
-    return table
+    texts = _TEXTS | {COMPARISON[0]}
+    return {
+        name: np.array(table.texts(name)) if name in texts else table.numbers(name)
+        for name in names
+    }
 
 
-def _checked(table: TextTable) -> Columns:
-    """The rows as columns; raises ResultError unless frames and times are in order."""
-    path, names = table.path, [name for name in table.names if name != COMPARISON[0]]
-    if not table.rows:
-        raise ResultError(str(path), "contains no frames", _run_again())
-    numbers: Columns = {name: table.numbers(name) for name in names if name not in _TEXTS}
-    texts = {name: np.array(table.texts(name)) for name in names if name in _TEXTS}
-    columns: Columns = {**numbers, **texts}
+def _require_order(path: Path, columns: Columns) -> None:
+    """Raise ResultError unless frames and times are in order, and numbers not too large."""
+    numbers = {name: column for name, column in columns.items() if name not in _TEXTS}
     frame, time_s = columns["frame"], columns["time_s"]
     is_in_order = (
         (frame == frame.round()) & (np.diff(frame, prepend=-1.0) > 0) & (frame < 2**53)
@@ -209,7 +211,6 @@ def _checked(table: TextTable) -> Columns:
         or any(np.isposinf(column).any() for name, column in numbers.items() if name != "ffi")
     ):
         raise ResultError(str(path), "its rows are not frames in order", _run_again())
-    return columns
 
 
 def row_type(more: Iterable[str] = ()) -> np.dtype:

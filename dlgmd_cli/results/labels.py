@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from decimal import Decimal
+from math import isnan
 from pathlib import Path, PurePath
 
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, ResultError, SourceError, argument, warn
 from dlgmd_cli.frame import Flags
-from dlgmd_cli.machine.tables import EMPTY, PLAIN, TextTable, listed, read_table, thousands
+from dlgmd_cli.machine.tables import EMPTY, PLAIN, TextTable, listed, read_table
 from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.facts import InputFacts
@@ -22,7 +22,6 @@ from dlgmd_cli.parameters.presets import ANGLES
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import RUN, is_url, records_below
-from dlgmd_cli.video.given_times import Companion
 from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 
 _log = logging.getLogger(__name__)
@@ -38,8 +37,7 @@ _COLUMNS = ("video", *_FRAMES, *_NUMBERS, "brake", *WORDS)
 _TRUTH, NEAR_1_S, _ROUNDING = ("frame", "distance_m", "closing_m_s"), 0.45, 1e-9
 # Programs whose integer columns cannot be empty write 32.0 or 32,0. Three digits after
 # a separator may be a group of thousands.
-_FRAME = re.compile(r"([0-9]{1,9})(?:[.,](?![0-9]{3}$)0*)?")
-_THOUSANDS = re.compile(r"([0-9]{1,6})[.,]([0-9]{3})")
+_FRAME = re.compile(r"([0-9]{1,9})(?:[.,]0{0,2})?")
 _FRAME_HINT = "Write a video and the number of a frame, or nothing after the comma."
 _MEND = "Run 'dlgmd batch' again."
 
@@ -112,9 +110,9 @@ def read_labels(path: Path) -> list[Label]:
         kept = f"; further columns: {listed([*further.values()])}" if further else ""
         _log.info("Note: %s: read as %s%s.", path, table.form, kept)
     columns = {name: table.texts(name) for name in _COLUMNS}
-    numbers = {name: table.decimals(name) for name in _NUMBERS}
+    numbers = {name: table.numbers(name) for name in _NUMBERS}
     labels = []
-    for row, (_, cells) in enumerate(table.rows):
+    for row, cells in enumerate(table.rows):
         if any(map(str.strip, cells)):
             known_cells = {name: column[row] for name, column in columns.items()}
             label = _label(table, row, known_cells, {key: numbers[key][row] for key in numbers})
@@ -144,6 +142,9 @@ def _require_agreement(path: Path, labels: list[Label]) -> None:
         if frames.count(frame) > 1:
             what = "no frame" if frame is None else f"frame {frame}"
             raise ResultError(str(path), f"{video} is listed twice with {what}", "Remove one line.")
+    if len({(label.fov, label.camera_tilt) for label in labels}) > 1:
+        why = f"{video} has several values of {' or '.join(ANGLES)}"
+        raise ResultError(str(path), why, "Give one camera for a video.")
     if None in frames and len(frames) > 1:
         why = f"{video} is listed with a collision and without one"
         raise ResultError(str(path), why, "Remove one of the lines.")
@@ -198,10 +199,10 @@ def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -
 
 
 def _label(
-    table: TextTable, row: int, cells: Mapping[str, str], numbers: Mapping[str, Decimal | None]
+    table: TextTable, row: int, cells: Mapping[str, str], numbers: Mapping[str, float]
 ) -> Label:
     """The label in a row of a table, without further columns; raises ResultError."""
-    if not cells["video"] or len(table.rows[row].cells) <= (table.place("collision_frame") or 0):
+    if not cells["video"] or len(table.rows[row]) <= (table.place("collision_frame") or 0):
         raise table.at(row, "", "this is not a label", _FRAME_HINT)
     collision, start = (_frame(table, row, name, cells[name]) for name in _FRAMES)
     if collision is not None and start is not None and start > collision:
@@ -210,8 +211,7 @@ def _label(
     measured: list[float | None] = []
     for name, spec in _NUMBERS.items():
         try:
-            value = numbers[name]
-            measured.append(None if value is None else spec.check(float(value)))
+            measured.append(None if isnan(numbers[name]) else spec.check(float(numbers[name])))
         except ParameterError as error:
             raise table.at(row, name, error.why, error.hint) from None
     (target, kind, manner), (fov, tilt, speed) = (cells[name] for name in WORDS), measured
@@ -234,8 +234,6 @@ def _frame(table: TextTable, row: int, name: str, cell: str) -> int | None:
         return int(whole[1])
     if cell.lower() in EMPTY:
         return None
-    if _THOUSANDS.fullmatch(cell):
-        raise table.at(row, name, *thousands(cell))
     raise table.at(row, name, f"{cell[:40]!r} is not a frame", _FRAME_HINT)
 
 
@@ -251,15 +249,15 @@ class Case:
         The labels of the video's collisions in order, or a single label without a collision.
     near : tuple of int
         The frames whose true rate of growth is `NEAR_1_S` or more; empty if there is no truth.
-    truth : Companion, optional
-        The rows of the truth.
+    truth : TextTable, optional
+        The table of the truth.
     """
 
     name: str
     path: str
     labels: tuple[Label, ...]
     near: tuple[int, ...] = ()
-    truth: Companion | None = None
+    truth: TextTable | None = None
 
     @property
     def collisions(self) -> tuple[int, ...]:
@@ -293,10 +291,10 @@ def read_cases(path: Path) -> list[Case]:
     return cases
 
 
-def near_frames(path: Path) -> tuple[tuple[int, ...], Companion]:
+def near_frames(path: Path) -> tuple[tuple[int, ...], TextTable]:
     """The frames of a truth with a rate (closing speed over distance) of `NEAR_1_S` or more.
 
-    Also returns the rows of the truth. Raises ResultError if the file lacks one of the columns
+    Also returns the table. Raises ResultError if the file lacks one of the columns
     frame, distance_m and closing_m_s.
     """
     table = read_table(path, ResultError)
@@ -305,7 +303,7 @@ def near_frames(path: Path) -> tuple[tuple[int, ...], Companion]:
     for row in np.flatnonzero(~((frame >= 0.0) & (frame < 2**53))):
         raise table.at(int(row), "frame", "is no number of a frame", "Count from 0.")
     is_near = (closing > 0.0) & (closing >= NEAR_1_S * distance - _ROUNDING)
-    return tuple(map(int, frame[is_near])), Companion.of(table)
+    return tuple(map(int, frame[is_near])), table
 
 
 def groups(cases: Sequence[Case]) -> dict[VideoGroup, dict[int, Flags]]:

@@ -14,7 +14,7 @@ from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.store import RUN
 from dlgmd_cli.video.base import parse_crop
-from dlgmd_cli.video.given_times import Companion
+from dlgmd_cli.video.given_times import misfit
 from dlgmd_cli.video.input_options import InputOptions
 
 # Left, top, right and bottom edges, as shares of the sides of an image.
@@ -65,8 +65,7 @@ def headings_misfit(path: str, result: Result) -> str:
     before.
     """
     n_frames = result.record["input"]["frames"] if result.complete else math.inf
-    companion = Companion.of(_heading_table(path))
-    return companion.misfit(path, n_frames, result.frame, result.time_s, spare=1)
+    return misfit(_heading_table(path), n_frames, result.frame, result.time_s, spare=1)
 
 
 def not_headed(

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +145,7 @@ class BagDecoder:
                 return
             yield stamp_ns, received_ns, message
 
-    def _sort(self) -> Decimal:
+    def _sort(self) -> float:
         """Find the order of the messages by their times; the first time in s. Raises Unreadable."""
         stamps_ns = [times for *times, _ in self._messages()]
         self.is_damaged = False  # until the images before the damage are read
@@ -158,7 +157,7 @@ class BagDecoder:
         self._ranks = np.argsort(order).tolist()
         first_ns = times_ns[order[0]]
         self._times_s = [1e-9 * (times_ns[at] - first_ns) for at in order]
-        return first_ns * Decimal("1e-9")
+        return first_ns / 1e9
 
     def picture(self) -> Image:
         """The image of the latest message; raises Unreadable if undecodable or of another kind."""

@@ -1,13 +1,10 @@
 """The times of frames where the user knows better than the video: a rate, or a table."""
 
+import logging
 import os
 import re
 from dataclasses import dataclass, field
-from decimal import Decimal
-from itertools import pairwise
 from pathlib import Path
-from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,62 +15,54 @@ from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.video.base import MAX_FPS
 from dlgmd_cli.video.timestamps import LEAST_STEP_S, frame_rates, is_unix, start_of
 
+_log = logging.getLogger(__name__)
+
 # Names of columns with times; with times of something else; and with what is per time.
-_TIMES = re.compile(r"time|stamp|zeit|(?:^|_)(?:t|pts|utc|clock|elapsed)(?:_|$)")
+_TIMES = re.compile(r"time|stamp|zeit|(?:^|_)(?:t|ts|pts|utc|clock|elapsed)(?:_|$)")
 _NO_TIMES = re.compile(r"contact|exposure|shutter|duration|delta|interval|latency|(?:^|_)dt(?:_|$)")
 _RATE = re.compile(r"(?:^|_)(?:[ck]?m|deg|rad|px|per|1)_")
 # Unit -> seconds, and the words in a column's name that mean it.
 _UNITS = {
-    "ns": (Decimal("1e-9"), r"n(?:s|secs?|anos?|ano_?sec(?:ond)?s?)|sensor_timestamp$"),
-    "us": (Decimal("1e-6"), r"[uµμ](?:s|secs?)|micros?|micro_?sec(?:ond)?s?"),
-    "ms": (Decimal("1e-3"), r"m(?:s|secs?)|millis?|milli_?sec(?:ond)?s?"),
-    "s": (Decimal(1), r"s|secs?|seconds?"),
-    "min": (Decimal(60), r"mins?|minutes?"),
-    "h": (Decimal(3600), r"h|hrs?|hours?"),
+    "ns": (1e-9, r"n(?:s|secs?|anos?|ano_?sec(?:ond)?s?)|sensor_timestamp$"),
+    "us": (1e-6, r"[uµμ](?:s|secs?)|micros?|micro_?sec(?:ond)?s?"),
+    "ms": (1e-3, r"m(?:s|secs?)|millis?|milli_?sec(?:ond)?s?"),
+    "s": (1.0, r"s|secs?|seconds?"),
+    "min": (60.0, r"mins?|minutes?"),
+    "h": (3600.0, r"h|hrs?|hours?"),
 }
 _GUESSED = ("s", "ms", "us", "ns")
 _FORMAT = re.compile(r"(?:timecode|timestamp) format (v\d+)")
 _MEND = "Its first line names the columns; write time_s above seconds, time_ms above ms."
 
 
-class Companion(NamedTuple):
-    """The rows of a table beside a video, such as its truth: frames, and times in s, both (n,)."""
+def misfit(
+    table: TextTable,
+    n_frames: float,
+    frames: npt.NDArray[np.int64],
+    times_s: npt.NDArray[np.float64],
+    spare: int = 0,
+) -> str:
+    """A warning if a table, such as a truth, is not that of the video beside it, or empty.
 
-    frames: npt.NDArray[np.float64]
-    times_s: npt.NDArray[np.float64]
-
-    @classmethod
-    def of(cls, table: TextTable) -> "Companion":
-        """The columns `frame` and `time_s`; NaN where a time is missing."""
-        return cls(table.numbers("frame"), table.numbers("time_s", clocks=True))
-
-    def misfit(
-        self,
-        origin: str,
-        n_frames: float,
-        frames: npt.NDArray[np.int64],
-        times_s: npt.NDArray[np.float64],
-        spare: int = 0,
-    ) -> str:
-        """A warning if the table is not that of its video, or empty.
-
-        The table, the file `origin`, may have `spare` rows after the video's last frame. The times
-        of the video's `frames` are `times_s`, (m,); both count from the first common frame.
-        """
-        n_more = int((self.frames >= n_frames).sum())
-        if n_more > spare:
-            return _surplus(origin, "row", n_more)
-        is_timed = np.isfinite(self.times_s)
-        common = np.intersect1d(self.frames[is_timed], frames, return_indices=True)
-        if len(common[0]) < 2:
-            return ""
-        told_s, own_s = self.times_s[is_timed][common[1]], times_s[common[2]]
-        told_s, own_s = told_s - told_s[0], own_s - own_s[0]
-        worst = int(np.argmax(np.abs(told_s - own_s)))
-        if abs(told_s[worst] - own_s[worst]) <= 2.0 * np.median(np.diff(times_s)):
-            return ""
-        what = f"{origin} has frame {common[0][worst]:.0f} at {told_s[worst]:.3f} s"
-        return f"{what}, the video at {own_s[worst]:.3f} s; check that they belong together"
+    The table has the columns `frame` and, perhaps, `time_s`; it may have `spare` rows after the
+    video's last frame. The times of the video's `frames` are `times_s`, (m,); both count from the
+    first common frame.
+    """
+    rows, told_s = table.numbers("frame"), table.numbers("time_s", clocks=True)
+    n_more = int((rows >= n_frames).sum())
+    if n_more > spare:
+        return _surplus(str(table.path), "row", n_more)
+    is_timed = np.isfinite(told_s)
+    common, at, own_at = np.intersect1d(rows[is_timed], frames, return_indices=True)
+    if len(common) < 2:
+        return ""
+    told_s, own_s = told_s[is_timed][at], times_s[own_at]
+    told_s, own_s = told_s - told_s[0], own_s - own_s[0]
+    worst = int(np.argmax(np.abs(told_s - own_s)))
+    if abs(told_s[worst] - own_s[worst]) <= 2.0 * np.median(np.diff(times_s)):
+        return ""
+    what = f"{table.path} has frame {common[worst]:.0f} at {told_s[worst]:.3f} s"
+    return f"{what}, the video at {own_s[worst]:.3f} s; check that they belong together"
 
 
 @dataclass(frozen=True)
@@ -147,24 +136,21 @@ def read_times(path: str | os.PathLike[str]) -> GivenTimes:
     """
     table = read_table(Path(path), ParameterError)
     name, unit = _column(table)
-    cells, times = table.texts(name), list[Decimal]()
-    for row, time in enumerate(table.decimals(name, clocks=True)):
-        if time is None:
-            raise table.at(row, name, f"frame {row} has no time", "Give one row a frame.")
-        times.append(time)
+    cells, times = table.texts(name), table.numbers(name, clocks=True)
+    for row in np.flatnonzero(~np.isfinite(times)):
+        raise table.at(int(row), name, f"frame {row} has no time", "Give one row a frame.")
     if len(times) < 2:
         raise ParameterError(str(path), "has fewer than two times", "Give one row a frame.")
-    steps = [after - before for before, after in pairwise(times)]
+    steps = np.diff(times)
     unit = "s" if any(":" in cell for cell in cells) else unit
-    scale = _UNITS[_plausible(table, name, unit, times[0], median(steps))][0]
-    for row, step in enumerate(steps, start=1):
-        if step * scale < LEAST_STEP_S:
-            why = f"frame {row} is at {cells[row]}, not after the one before, {cells[row - 1]}"
-            raise table.at(row, name, why, "Times must increase.")
-    found = np.array([float((time - times[0]) * scale) for time in times])
+    scale = _scale(table, name, unit, float(times[0]), float(np.median(steps)))
+    for row in 1 + np.flatnonzero(steps * scale < LEAST_STEP_S):
+        why = f"frame {row} is at {cells[row]}, not after the one before, {cells[row - 1]}"
+        raise table.at(int(row), name, why, "Times must increase.")
+    found = np.round((times - times[0]) * scale, 6)  # seconds since 1970 are exact to 0.2 µs
     rates = frame_rates(found.tolist())
     assert rates is not None  # there are two times or more
-    start, spare = start_of(times[0] * scale), int(bool(_FORMAT.search(table.remark)))
+    start, spare = start_of(float(times[0]) * scale), int(bool(_FORMAT.search(table.remark)))
     return GivenTimes(rates.mean_fps, 1.0, found, str(path), start, spare)
 
 
@@ -179,7 +165,7 @@ def _column(table: TextTable) -> tuple[str, str]:
     units = dict(zip(table.names, table.units, strict=False))
     known = {name: unit_of(name) or unit_of(units.get(name, "")) for name in table.names}
     named = [name for name in known if _TIMES.search(plain(name))]
-    named += [name for name, unit in known.items() if unit and not _RATE.search(plain(name))]
+    named = named or [name for name in known if known[name] and not _RATE.search(plain(name))]
     chosen = [name for name in named if not _NO_TIMES.search(plain(name))]
     if not chosen and len(table.names) == 1 and not _counts(table):
         chosen = table.names
@@ -187,6 +173,9 @@ def _column(table: TextTable) -> tuple[str, str]:
         columns = f": it has the columns {listed(table.names)} ({table.form})"
         why = "is not a table with a column of times" + (columns if any(table.names) else "")
         raise ParameterError(str(table.path), why, _MEND)
+    if len(chosen) > 1:
+        others = listed(chosen[1:])
+        _log.info("Note: %s: the times are those of %s, not of %s.", table.path, chosen[0], others)
     return chosen[0], known[chosen[0]]
 
 
@@ -205,17 +194,17 @@ def unit_of(text: str) -> str:
     return ""
 
 
-def _plausible(table: TextTable, name: str, unit: str, first: Decimal, step: Decimal) -> str:
-    """The given unit, or the one that fits; raises ParameterError if the step means no rate."""
-    if step <= 0:
-        return unit or "s"  # the caller finds the row
-    rates = {one: 1.0 / float(step * scale) for one, (scale, _) in _UNITS.items()}
+def _scale(table: TextTable, name: str, unit: str, first: float, step: float) -> float:
+    """The seconds of the given unit, or of the one that fits; raises if the step is no rate's."""
+    if step <= 0.0:
+        return 1.0  # the caller finds the row
+    rates = {one: 1.0 / (step * scale) for one, (scale, _) in _UNITS.items()}
     fitting = [one for one in _GUESSED if 1.0 <= rates[one] <= MAX_FPS]
     dated = [one for one in fitting if is_unix(first * _UNITS[one][0])]
     taken = unit or next(iter(dated), "s")
-    if taken in fitting or (unit and rates[unit] < 1.0):
-        return taken
-    why = f"a step of {step.normalize():f} {taken} means {rates[taken]:.3g} frames/s"
+    if taken in fitting or (unit and rates[unit] <= MAX_FPS):
+        return _UNITS[taken][0]
+    why = f"a step of {step:.9g} {taken} means {rates[taken]:.3g} frames/s"
     hint = " or ".join(f"time_{one} ({rates[one]:.3g} frames/s)" for one in fitting)
     slow = f"; time_{taken}, if it is so slow" if rates[taken] < 1.0 else ""
     hint = f"Write the unit into the first line: {hint}{slow}." if hint else "Check the column."

@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timedelta
-from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
@@ -81,12 +80,15 @@ def rate_between_gaps(stated_fps: float | None, steady_fps: float | None) -> flo
     return stated_fps
 
 
-def is_unix(time_s: float | Decimal) -> bool:
-    """Whether a clock that shows this time counts from 1970: the time is from 2001 to 2096."""
-    return 1_000_000_000 <= time_s <= 4_000_000_000
+def is_unix(time_s: float) -> bool:
+    """Whether a clock that shows this time counts from 1970: the time is from 2001 to 2065.
+
+    NTP, which counts from 1900, shows more.
+    """
+    return 1_000_000_000 <= time_s <= 3_000_000_000
 
 
-def start_of(first_s: float | Decimal) -> InputFacts:
+def start_of(first_s: float) -> InputFacts:
     """What a record says of the clock of times that count from the first frame.
 
     `start_time_utc` if the clock counts from 1970, else `clock_offset_s`; nothing if it began at 0.

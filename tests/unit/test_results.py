@@ -326,11 +326,11 @@ def test_labels(tmp_path):
     [
         (
             'a.mp4,"1,000"',
-            "frame: '1,000' may be a thousand times 1. Write 1000 or 1.",
+            "frame: '1,000' is not a frame",
         ),
         (
             "a.mp4,12.000",
-            "frame: '12.000' may be a thousand times 12. Write 12000 or 12.",
+            "frame: '12.000' is not a frame",
         ),
         ("a.mp4,1,000", "line 2 has 3 cells, the first line 2"),
         ('a.mp4,3\nb.mp4,5,"wall\nc.mp4,7,ball', "the row in line 3 cannot be read"),

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from dlgmd_cli.models.stopping import BRAKES, Brake
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
 from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
-from dlgmd_cli.results.labels import TRUTH, Case, Label, StoredResults
+from dlgmd_cli.results.labels import Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import model_entry
 from dlgmd_cli.results.result import Result
@@ -29,6 +29,7 @@ from dlgmd_cli.results.store import SUMMARY, is_url
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import Progress, Request, Setup
 from dlgmd_cli.tasks.stepping import require_response, run_models
+from dlgmd_cli.video.given_times import misfit
 
 _log = logging.getLogger(__name__)
 
@@ -227,9 +228,8 @@ class Candidates:
                 signal = signal_of(flow, case, self.stopping, flow.mp / flow.n_cells)
                 entries.append((FLOW, flow, None, signal))
         if case.truth is not None:
-            truth = f"{TRUTH}/{PurePath(case.name).stem}.csv"
             n_frames = first.record["input"]["frames"] if first.complete else math.inf
-            if line := case.truth.misfit(truth, n_frames, first.frame, first.time_s):
+            if line := misfit(case.truth, n_frames, first.frame, first.time_s):
                 warn(line)
         for label, _, params, _ in entries:
             if label in self.by_label and self.by_label[label].params != params:
