@@ -13,11 +13,6 @@ from dlgmd_cli.parameters import presets
 class _Sets(Group):
     """`dlgmd sets 9` is short for `dlgmd sets show 9`."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; options are those of `show`."""
-        is_option = bool(args) and args[0].startswith("-") and args[0] not in ctx.help_option_names
-        return super().parse_args(ctx, ["show", *args] if is_option else args)
-
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:

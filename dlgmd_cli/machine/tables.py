@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters.checks import similar_path
 
 MAX_BYTES = 1 << 26
 # If a line has equally many of two delimiters, the first of them separates the cells.
@@ -262,7 +263,7 @@ def _lines(
             raise fault(str(path), f"is larger than {MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
     except FileNotFoundError:
-        raise fault(str(path), "this file is missing", hint) from None
+        raise fault(str(path), "this file is missing", similar_path(path) or hint) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path, or no text
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise fault(str(path), f"cannot be read ({reason})", hint or "Save it as CSV.") from None

@@ -15,7 +15,7 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import FULL
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import require_known, similar_path
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
@@ -481,7 +481,9 @@ def _check_readable(path: Path) -> None:
     """Raise SourceError with the reason if a file cannot be opened; FFmpeg gives no reason."""
     name = str(path)
     if not path.exists():
-        raise SourceError(name, "there is no such file or folder", "Check the path.")
+        raise SourceError(
+            name, "there is no such file or folder", similar_path(path) or "Check the path."
+        )
     if not path.is_file():
         raise SourceError(name, "is a pipe or a device; only files are read", _RECORD)
     try:
