@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 from click.exceptions import NoArgsIsHelpError
 from click.shell_completion import CompletionItem
 
@@ -33,7 +34,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import refuse, require_known
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -271,12 +272,9 @@ class Command(_WithSections):
 
 
 def refuse_given(names: Collection[str], why: str) -> None:
-    """Raise UsageError if one of the arguments `names` is given as an option, and why not."""
-    context = click.get_current_context()
-    for parameter in context.command.params:
-        source = context.get_parameter_source(str(parameter.name))
-        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{max(parameter.opts, key=len)} {why}. Leave it out.")
+    """`refuse` the arguments `names` that are given as options; their defaults are not."""
+    source = click.get_current_context().get_parameter_source
+    refuse({name: source(name) is ParameterSource.COMMANDLINE for name in names}, why)
 
 
 def _raise_with_call(error: click.UsageError, meant: str) -> NoReturn:

@@ -70,8 +70,6 @@ def show(name: str, plot: Path | None, overwrite: bool) -> None:
     NAME is a set (1 to 9), a preset such as flight, a model such as lgmd or package.module:Class,
     or a YAML file.
     """
-    if plot is None:
-        console.refuse_given({"overwrite"}, "works only with --plot")
     if ":" in name:
         options.find_modules_here()
     from dlgmd_cli.tasks import sets as task

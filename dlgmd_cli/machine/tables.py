@@ -256,6 +256,8 @@ def _lines(
     path: Path, fault: type[DlgmdError], hint: str, *, limited: bool
 ) -> tuple[str, list[str]]:
     """The encoding of a file, and its lines; raises `fault` if it is missing or no text."""
+    if path.is_dir():
+        raise fault(str(path), "is a folder, not a table", "Give a CSV file.")
     try:
         with open_regular(path, "rb") as file:
             data = file.read(MAX_BYTES + 1 if limited else -1)

@@ -199,11 +199,11 @@ def shown(value: Any) -> str:
     return str(value)[:40]
 
 
-def refuse(given: Mapping[str, Any], why: str) -> None:
+def refuse(given: Mapping[str, Any], why: str, hint: str = "Leave it out.") -> None:
     """Raise ParameterError if one of these arguments is given; the text is its name and `why`."""
     for name, value in given.items():
-        if value is not None and value not in ((), [], ""):
-            raise ParameterError("", f"{argument(name)} {why}", "Leave it out.")
+        if value is not None and value is not False and value not in ((), [], ""):
+            raise ParameterError("", f"{argument(name)} {why}", hint)
 
 
 def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:

@@ -246,7 +246,7 @@ class RowList:
         """All rows, shape (n,), of type `row_type`."""
         names = self._type.names or ()
         numbers = iter(np.array(self._numbers).reshape(len(self), self._n_numbers).T)
-        texts = iter([self._texts] if len(_TEXTS) == 1 else zip(*self._texts, strict=True))
+        texts = iter(np.array(self._texts, object).reshape(len(self), len(_TEXTS)).T)
         return rows_of(
             {name: next(texts if name in _TEXTS else numbers) for name in names}, self._more
         )

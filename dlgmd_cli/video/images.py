@@ -305,6 +305,8 @@ class ArrayDecoder(_Series):
         is_known = is_float or image.dtype in (np.uint8, np.uint16)
         if not (is_picture and is_known and image.size):
             hint = f"Give {_KINDS}."
+            if image.dtype.kind == "U":
+                hint = "Give one path to a video; batch takes several."
             colours = [at for at in range(3) if image.shape[at : at + 1] in ((1,), (3,), (4,))]
             if image.ndim == 3 and colours:
                 part = 0 if image.shape[colours[0]] == 1 else ":3"

@@ -15,7 +15,7 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import FULL
-from dlgmd_cli.parameters.checks import require_known, similar_path
+from dlgmd_cli.parameters.checks import refuse, require_known, similar_path
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
@@ -241,8 +241,7 @@ def require_used(given: Collection[str], inputs: Iterable[Mapping[str, str]]) ->
         if not left:
             return
     for name in sorted(left if reasons else ()):
-        why = f"{argument(name)} has no effect: {reasons[name]}"
-        raise ParameterError("", why, "Leave it out.")
+        refuse({name: True}, f"has no effect: {reasons[name]}")
 
 
 def _info(

@@ -153,7 +153,7 @@ WRONG_USAGE = [
     ("synth looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
     ("synth translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
     ("synth looming-cube --size 9000x48", "size 9000x48 is not within 1 to 8192 px"),
-    ("synth looming-cube --fps nan", "nan is not a finite number. Choose 1 to 600."),
+    ("synth looming-cube --fps nan", "nan is not a finite number."),
     ("synth looming-cube --contrast 0.5", "0.5 on a background of 0.8 makes the object brighter"),
     ("synth looming-cube --background 0", "is not above 0. Choose above 0 to 1."),
     ("synth looming-cube --frames 76", "'--frames': contact comes after 75 frames"),
