@@ -47,7 +47,6 @@ class _Series:
 
     is_damaged = False
     takes_every_frame = True
-    uses: tuple[str, ...] = ()
 
     def __init__(self, images: Iterable[Any], fps: float) -> None:
         self._images, self._fps, self._index = images, fps, 0

@@ -218,9 +218,14 @@ def _unused(
     opened: Decoder, decoder: str, size_wh: tuple[int, int] | None, region: Region
 ) -> dict[str, str]:
     """The options without effect on an open input, and why."""
-    uses = {*opened.uses, *(("bit_depth",) if opened.info.levels[1] > FULL[1] else ())}
-    unused = {name: why for name, why in ONLY_FOR.items() if why and name not in uses}
-    if "decoder" in uses and opened.kind != decoder:
+    is_video = isinstance(opened, OpenCVDecoder | PyAVDecoder)
+    uses = {
+        "decoder": is_video,
+        "topic": isinstance(opened, bags.BagDecoder),
+        "bit_depth": opened.info.levels[1] > FULL[1],
+    }
+    unused = {name: ONLY_FOR[name] for name, is_used in uses.items() if not is_used}
+    if is_video and opened.kind != decoder:
         unused["decoder"] = "PyAV reads this input, which OpenCV would misread"
     if size_wh is not None and (why := region.lacks(size_wh)):
         unused["size"] = why
