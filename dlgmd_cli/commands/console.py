@@ -53,6 +53,7 @@ SECTIONS = {
     "Output": "out record format overwrite force width",
     "General": "json quiet verbose log debug version help",
 }
+_COMMON = " ".join(SECTIONS.values()).split()
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # Texts in the errors of Python, the module loader and OpenCV when memory or threads run short.
 _SHORTAGES = {
@@ -210,8 +211,7 @@ class Command(_WithSections):
 
     def argument_names(self) -> dict[str, str]:
         """Function's argument -> option of this command, such as `out` -> `--out`."""
-        common = " ".join(SECTIONS.values()).split()
-        names = {name.replace("-", "_"): f"--{name}" for name in common}
+        names = {name.replace("-", "_"): f"--{name}" for name in _COMMON}
         for param in self.params:
             for option in [*param.opts, *param.secondary_opts]:
                 if option.startswith("--"):
@@ -235,11 +235,15 @@ class Command(_WithSections):
         except click.UsageError as error:
             names = getattr(getattr(error, "param", None), "opts", ())
             wrong = [word for name, word in pairwise(words) if name in names]
-            _raise_with_call(error, meant_call(ctx, words, wrong))
+            is_elsewhere = getattr(error, "option_name", "").removeprefix("--") in _COMMON
+            is_missing = is_elsewhere and isinstance(error, click.NoSuchOption)
+            meant = "Other commands have it." if is_missing else meant_call(ctx, words, wrong)
+            _raise_with_call(error, meant)
         missing = [word for word in (*rest, *self._inputs(ctx)) if not is_there(word)]
         if rest and not ctx.resilient_parsing:
+            error_line = _too_many(rest, has_input=any(self._inputs(ctx)))
             meant = meant_call(ctx, words, missing) or self._example(ctx)
-            _raise_with_call(click.UsageError(_too_many(rest), ctx), meant)
+            _raise_with_call(click.UsageError(error_line, ctx), meant)
         if missing and (meant := meant_call(ctx, words, missing)):
             _raise_with_call(click.UsageError(f"{missing[0]!r} is no file.", ctx), meant)
         return rest
@@ -254,7 +258,7 @@ class Command(_WithSections):
     def _example(self, ctx: click.Context) -> str:
         """The first example of the help."""
         first = re.search(rf"^ *({ctx.command_path}( .*?)?) *(#|$)", str(self.help), re.MULTILINE)
-        return f"Write '{first[1]}'." if first else ""
+        return f"Write '{first[1].strip()}'." if first else ""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that was only logged also gives the exit code 1."""
@@ -289,7 +293,7 @@ def _line(error: click.ClickException) -> str:
     return " ".join(error.format_message().split())
 
 
-def _too_many(extra: list[str]) -> str:
+def _too_many(extra: list[str], *, has_input: bool) -> str:
     """The error for arguments that a command does not take."""
     n_extra = len(extra)
     endings = {Path(name).suffix.lower() for name in extra}
@@ -302,7 +306,7 @@ def _too_many(extra: list[str]) -> str:
     more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
     listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
     line = f"unexpected {'argument' if n_extra == 1 else 'arguments'}: {listed}{more}."
-    if not all(Path(name).suffix for name in extra):
+    if not has_input or not all(Path(name).suffix for name in extra):
         return line
     return f"{line} A name with spaces needs quotes; 'dlgmd batch' takes several videos."
 

@@ -103,7 +103,8 @@ def plot(
 def _drawer(align: str | None, *, mean: bool) -> Callable[..., Figure]:
     """The function that draws results over video time, or over the time to their collisions."""
     if align is None:
-        refuse({"mean": mean}, f"works only with {argument('align', 'collision')}")
+        align_option = argument("align", "collision")
+        refuse({"mean": mean}, f"works only with {align_option}", f"Add {align_option}.")
         return drawn_by("traces.plot")
     require_known("align", align, ("collision",))
     return partial(drawn_by("aligned.plot"), mean=mean)
