@@ -16,7 +16,7 @@ from dlgmd_cli.commands.console import (
     general_options,
     show_traceback,
 )
-from dlgmd_cli.commands.mending import call, expanded, meant_command, plain
+from dlgmd_cli.commands.mending import meant_command, plain
 
 # Section of the help -> its commands; the common commands come first.
 GROUPS = {
@@ -75,11 +75,9 @@ class LazyGroup(Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the general options, which may also follow the command."""
-        given = expanded(args)
-        if (words := plain(given)) != given and not ctx.resilient_parsing:
-            ctx.fail(f"a dash or a quote is not a plain one. {call(ctx, words)}")
+        words = plain(args)
         try:
-            return super().parse_args(ctx, general_first(self.params, list(words)))
+            return super().parse_args(ctx, general_first(self.params, [*words]))
         except click.NoSuchOption as error:
             meant = meant_command(words, COMMANDS)
             raise click.UsageError(f"No such option {error.option_name!r}. {meant}", ctx) from None

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, progress, refuse_given, show
+from dlgmd_cli.commands.console import Command, progress, show
 from dlgmd_cli.commands.plot import frame_options, one_panel_option
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
@@ -131,8 +131,6 @@ def compare(input_path: str, **arguments: Any) -> None:
     the spikes and alarms of each model, and the attenuations. The spikes follow the potential in
     the figure, which --normalise selects. Spikes and alarms are the same as in 'dlgmd run'.
     """
-    if not arguments["formats"]:
-        refuse_given({"one_panel"}, "works only with a figure, not with --format none")
     from dlgmd_cli.tasks import compare as task
 
     show(task.compare(input_path, progress=progress, **arguments))

@@ -11,16 +11,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 from click.exceptions import NoArgsIsHelpError
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands.mending import mended, of_missing_file
+from dlgmd_cli.commands.mending import is_there, meant_call
 from dlgmd_cli.errors import (
     DlgmdError,
     DlgmdWarning,
@@ -32,7 +34,7 @@ from dlgmd_cli.errors import (
     printable,
 )
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import refuse, require_known
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.outcome import Outcome
@@ -51,6 +53,7 @@ SECTIONS = {
     "Output": "out record format overwrite force width",
     "General": "json quiet verbose log debug version help",
 }
+_COMMON = " ".join(SECTIONS.values()).split()
 _NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
 # Texts in the errors of Python, the module loader and OpenCV when memory or threads run short.
 _SHORTAGES = {
@@ -62,8 +65,6 @@ _SHORTAGES = {
 }
 # Most rows of a table that is transposed, and a width in characters that no table has.
 _MOST_TURNED, _UNLIMITED = 12, 10_000
-# Key of a command's words in its context.
-_WORDS = "dlgmd.words"
 # Number of extra arguments that an error lists.
 _MAX_LISTED = 3
 
@@ -210,8 +211,7 @@ class Command(_WithSections):
 
     def argument_names(self) -> dict[str, str]:
         """Function's argument -> option of this command, such as `out` -> `--out`."""
-        common = " ".join(SECTIONS.values()).split()
-        names = {name.replace("-", "_"): f"--{name}" for name in common}
+        names = {name.replace("-", "_"): f"--{name}" for name in _COMMON}
         for param in self.params:
             for option in [*param.opts, *param.secondary_opts]:
                 if option.startswith("--"):
@@ -224,19 +224,41 @@ class Command(_WithSections):
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         ctx.allow_extra_args = True  # the error below lists them
-        given = ctx.meta[_WORDS] = tuple(args)  # click empties the list
+        words = tuple(args)  # click empties the list
         try:
             with naming_arguments(self.argument_names()):
                 rest = super().parse_args(ctx, args)
         except NoArgsIsHelpError:
             raise
+        except click.MissingParameter as error:
+            raise click.UsageError(f"{_line(error)} {self._example(ctx)}".strip(), ctx) from None
         except click.UsageError as error:
-            meant = mended(ctx, given, error)
-            raise _corrected(error.format_message(), meant, ctx) from None
+            names = getattr(getattr(error, "param", None), "opts", ())
+            wrong = [word for name, word in pairwise(words) if name in names]
+            is_elsewhere = getattr(error, "option_name", "").removeprefix("--") in _COMMON
+            is_missing = is_elsewhere and isinstance(error, click.NoSuchOption)
+            meant = "Other commands have it." if is_missing else meant_call(ctx, words, wrong)
+            _raise_with_call(error, meant)
+        missing = [word for word in (*rest, *self._inputs(ctx)) if not is_there(word)]
         if rest and not ctx.resilient_parsing:
-            too_many = click.UsageError(_too_many(rest), ctx)
-            raise _corrected(too_many.message, mended(ctx, given, too_many, rest), ctx)
+            error_line = _too_many(rest, has_input=any(self._inputs(ctx)))
+            meant = meant_call(ctx, words, missing) or self._example(ctx)
+            _raise_with_call(click.UsageError(error_line, ctx), meant)
+        if missing and (meant := meant_call(ctx, words, missing)):
+            _raise_with_call(click.UsageError(f"{missing[0]!r} is no file.", ctx), meant)
         return rest
+
+    def _inputs(self, ctx: click.Context) -> Iterator[str]:
+        """The words that are arguments of the command, not options."""
+        for param in self.params:
+            if isinstance(param, click.Argument):
+                value = ctx.params.get(str(param.name)) or ()
+                yield from map(str, value if isinstance(value, tuple) else (value,))
+
+    def _example(self, ctx: click.Context) -> str:
+        """The first example of the help."""
+        first = re.search(rf"^ *({ctx.command_path}( .*?)?) *(#|$)", str(self.help), re.MULTILINE)
+        return f"Write '{first[1].strip()}'." if first else ""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error that was only logged also gives the exit code 1."""
@@ -247,35 +269,31 @@ class Command(_WithSections):
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore", DlgmdWarning)  # these warnings are also logged
-            try:
-                returned = super().invoke(ctx)
-            except (DlgmdError, click.UsageError) as error:
-                if meant := of_missing_file(ctx, ctx.meta.get(_WORDS, ()), str(error)):
-                    raise _corrected(str(error), meant, ctx) from None
-                raise
+            returned = super().invoke(ctx)
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
 
 
 def refuse_given(names: Collection[str], why: str) -> None:
-    """Raise UsageError if one of the arguments `names` is given as an option, and why not."""
-    context = click.get_current_context()
-    for parameter in context.command.params:
-        source = context.get_parameter_source(str(parameter.name))
-        if parameter.name in names and source is click.core.ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{max(parameter.opts, key=len)} {why}. Leave it out.")
+    """`refuse` the arguments `names` that are given as options; their defaults are not."""
+    source = click.get_current_context().get_parameter_source
+    refuse({name: source(name) is ParameterSource.COMMANDLINE for name in names}, why)
 
 
-def _corrected(message: str, correction: str, ctx: click.Context) -> click.UsageError:
-    """The error of a wrong call, with the call that was meant in place of click's guess."""
-    line = " ".join(message.split())
-    if correction:
-        line = re.sub(r" \(?(Did you mean|Check the path|Write) .*", "", line)
-    return click.UsageError(f"{line} {correction}".strip(), ctx)
+def _raise_with_call(error: click.UsageError, meant: str) -> NoReturn:
+    """Raise the error of a wrong call, with the call that was meant in place of other guesses."""
+    line = _line(error)
+    if meant:
+        line = re.sub(r" \(?(Did you mean|Possible options|Write) .*", "", line)
+    raise click.UsageError(f"{line} {meant}".strip(), error.ctx) from None
 
 
-def _too_many(extra: list[str]) -> str:
+def _line(error: click.ClickException) -> str:
+    return " ".join(error.format_message().split())
+
+
+def _too_many(extra: list[str], *, has_input: bool) -> str:
     """The error for arguments that a command does not take."""
     n_extra = len(extra)
     endings = {Path(name).suffix.lower() for name in extra}
@@ -287,7 +305,10 @@ def _too_many(extra: list[str]) -> str:
         )
     more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
     listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
-    return f"unexpected {'argument' if n_extra == 1 else 'arguments'}: {listed}{more}."
+    line = f"unexpected {'argument' if n_extra == 1 else 'arguments'}: {listed}{more}."
+    if not has_input or not all(Path(name).suffix for name in extra):
+        return line
+    return f"{line} A name with spaces needs quotes; 'dlgmd batch' takes several videos."
 
 
 @contextmanager
@@ -329,7 +350,7 @@ def _as_one_line(error: Exception) -> click.ClickException:
             line = f"Invalid value for '{argument(error.argument)}': {why}"
         return _TwoLines(printable(line), click.get_current_context(silent=True))
     if isinstance(error, DlgmdError):
-        is_usage = isinstance(error, OutputExistsError)
+        is_usage = isinstance(error, OutputExistsError) or error.hint.startswith("Did you mean")
         return Failed(printable(str(error)), EXIT_USAGE if is_usage else EXIT_FAILED)
     if isinstance(error, OSError):
         return Failed(f"the output cannot be written ({error.strerror or kind}).")

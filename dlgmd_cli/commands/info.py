@@ -33,8 +33,6 @@ def info(input_paths: tuple[str, ...], **arguments: Any) -> None:
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
     options of 'dlgmd run', or how to prepare the file first.
     """
-    if arguments["write_mask"] is None:
-        console.refuse_given({"overwrite"}, "works only with --write-mask")
     from dlgmd_cli.tasks import info as task
 
     console.show(task.info(input_paths, progress=console.progress, **arguments))

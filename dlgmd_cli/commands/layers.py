@@ -8,11 +8,12 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, refuse_given, show
+from dlgmd_cli.parameters.checks import listed
 
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
-    """`65, 1,50` -> (65, 1, 50)."""
-    parts = [part.strip() for part in value.split(",")]
+    """`65, 1-3` -> (65, 1, 2, 3)."""
+    parts = listed(value)
     for part in parts:
         if re.fullmatch(r"\d{1,9}", part, re.ASCII) is None:
             raise click.BadParameter(f"{part[:40]!r} is not a frame number. Write 1,50,65.")

@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec, in_argument, require_known
+from dlgmd_cli.parameters.checks import Spec, in_argument, listed, meant_number, require_known
 from dlgmd_cli.parameters.facts import Value
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
@@ -107,13 +107,7 @@ def _set_names() -> tuple[str, ...]:
     return (*presets.preset_names(), *presets.PRESETS)
 
 
-def _each_set(text: str) -> tuple[str, ...]:
-    """`3,6` -> ("3", "6")."""
-    return tuple(_named_as("set")(name.strip()) for name in text.split(","))
-
-
-_SET = Parsed("N|NAME", _named_as("set"), _set_names)
-_SETS = Parsed("N|NAME", _each_set, _set_names)
+_SETS = Parsed("N|NAME", lambda text: [*map(_named_as("set"), listed(text))], _set_names)
 _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
 NO_FIGURES = "none"
@@ -256,7 +250,7 @@ inputs_argument = click.argument(
 # The model and its parameters.
 
 
-def only_one(ctx: click.Context, param: click.Parameter, values: tuple[Value, ...]) -> Any:
+def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Value, ...]) -> Any:
     """The value of an option; raises UsageError if it is given more than once."""
     if len(values) > 1:
         raise click.UsageError(
@@ -282,6 +276,8 @@ RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in RULES.items())
 
 def _rule(text: str) -> str:
     """The name of a rule; `own_rule` imports that of MODULE:CLASS."""
+    if meant_number(text) is not None:
+        raise ParameterError("", f"{text!r} is a number", f"Write --threshold {text}.")
     if ":" not in text:
         return str(Spec(str, choices=RULES).check(text))
     find_modules_here()
@@ -313,23 +309,27 @@ def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
     return values
 
 
-def _joined(ctx: click.Context, param: click.Parameter, values: tuple[tuple[str, ...], ...]) -> Any:
+def _joined(ctx: click.Context, param: click.Parameter, values: tuple[list[str], ...]) -> Any:
     """`3,6` and `9` -> ("3", "6", "9")."""
     return tuple(name for names in values for name in names)
+
+
+def _only_one_set(ctx: click.Context, param: click.Parameter, values: tuple[list[str], ...]) -> Any:
+    return _only_one(ctx, param, _joined(ctx, param, values))
 
 
 def _naming_options(*, many: bool) -> tuple[Option, ...]:
     """The options --set, --config and --model; with `many`, they may be repeated."""
     plural, note = ("s", " Repeatable.") if many else ("", "")
-    option = partial(click.option, multiple=True, callback=None if many else only_one)
+    option = partial(click.option, multiple=True, callback=None if many else _only_one)
     several = " Several as 3,6,7, or repeatable." if many else ""
     return (
         click.option(
             "--set",
             f"set_name{plural}",
-            type=_SETS if many else _SET,
+            type=_SETS,
             multiple=True,
-            callback=_joined if many else only_one,
+            callback=_joined if many else _only_one_set,
             metavar="N|NAME",
             help=f"The paper's set N, 1 to 9, or the preset {' or '.join(presets.PRESETS)}."
             f"{several}  [default: {presets.PRESETS[0]}]",
@@ -427,7 +427,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
 
 def _choice(name: str) -> click.Choice[str]:
-    return click.Choice([*SPECS[name].choices])
+    return click.Choice([*SPECS[name].choices], case_sensitive=False)
 
 
 _IMAGE_FILE = click.Path(exists=True, dir_okay=False)

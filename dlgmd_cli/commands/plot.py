@@ -53,6 +53,13 @@ def _limits(text: str) -> tuple[float, float]:
 LIMITS = options.Parsed("FROM:TO", _limits)
 
 
+def _kind(text: str) -> str:
+    """KIND, which is often forgotten."""
+    if text not in KINDS and Path(text).exists():
+        raise ParameterError("", f"{text!r} is no kind", f"Write 'dlgmd plot mp {text}'.")
+    return text
+
+
 def _place(value: str) -> Path:
     """A folder, or a file with the suffix of a figure."""
     out = Path(value)
@@ -109,7 +116,7 @@ one_panel_option = click.option(
 
 
 @click.command(cls=Command, short_help="Draw stored results.")
-@click.argument("kind", metavar="KIND", type=options.Parsed("kind", str, lambda: KINDS))
+@click.argument("kind", metavar="KIND", type=options.Parsed("kind", _kind, lambda: KINDS))
 @options.results_argument
 @annotation_options
 @click.option(

@@ -13,11 +13,6 @@ from dlgmd_cli.parameters import presets
 class _Sets(Group):
     """`dlgmd sets 9` is short for `dlgmd sets show 9`."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; options are those of `show`."""
-        is_option = bool(args) and args[0].startswith("-") and args[0] not in ctx.help_option_names
-        return super().parse_args(ctx, ["show", *args] if is_option else args)
-
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
@@ -75,8 +70,6 @@ def show(name: str, plot: Path | None, overwrite: bool) -> None:
     NAME is a set (1 to 9), a preset such as flight, a model such as lgmd or package.module:Class,
     or a YAML file.
     """
-    if plot is None:
-        console.refuse_given({"overwrite"}, "works only with --plot")
     if ":" in name:
         options.find_modules_here()
     from dlgmd_cli.tasks import sets as task

@@ -1,5 +1,6 @@
 """`dlgmd synth`: render plain stimuli with their ground truth."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def _complete_scene(
 
 def _scene_options(command: Any) -> Any:
     for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS.items()):
+        kind = options.numeric(kind, -math.inf) if kind in (int, float) else kind
         facts = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
         command = click.option(f"--{name}", cls=options.SectionOption, section="Stimulus", **facts)(
             command

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands import options
-from dlgmd_cli.commands.console import Command, progress, refuse_given, show
+from dlgmd_cli.commands.console import Command, progress, show
 
 
 def _page(value: str) -> Path:
@@ -72,8 +72,6 @@ def view(paths: tuple[Path, ...], **arguments: Any) -> None:
     model is run once more for it. Collisions can be labelled: the browser keeps the labels, and the
     index writes all labels into one labels.csv. Needs dlgmd[view].
     """
-    if arguments["no_film"]:
-        refuse_given({"input_path", "models"}, "works only with the film, not with --no-film")
     from dlgmd_cli.pages import view as task
 
     show(task.view(paths, progress=progress, **arguments))

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters.checks import similar_path
 
 MAX_BYTES = 1 << 30
 # The first of them that the first line has separates the cells.
@@ -229,6 +230,8 @@ def _header(first: list[str], comment: list[str]) -> list[str]:
 
 def _lines(path: Path, fault: type[DlgmdError], hint: str) -> tuple[str, list[str]]:
     """The encoding of a file, and its lines; raises `fault` if it is missing or no text."""
+    if path.is_dir():
+        raise fault(str(path), "is a folder, not a table", "Give a CSV file.")
     try:
         with open_regular(path, "rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -236,7 +239,7 @@ def _lines(path: Path, fault: type[DlgmdError], hint: str) -> tuple[str, list[st
             raise fault(str(path), f"is larger than {MAX_BYTES >> 20} MiB", "Split it.")
         encoding, text = _decoded(data)
     except FileNotFoundError:
-        raise fault(str(path), "this file is missing", hint) from None
+        raise fault(str(path), "this file is missing", similar_path(path) or hint) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path, or no text
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise fault(str(path), f"cannot be read ({reason})", hint or "Save it as CSV.") from None

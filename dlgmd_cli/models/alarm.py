@@ -5,7 +5,7 @@ from collections import deque
 
 import numpy as np
 
-from dlgmd_cli.errors import warn
+from dlgmd_cli.errors import FrameError, warn
 from dlgmd_cli.frame import Flags, Frame, small_wh
 from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.detection import Detection
@@ -206,6 +206,8 @@ class Alarm:
         FrameError
             If the frame is not such an image, or its size or type differs from the previous frame.
         """
+        if not isinstance(frame, Frame | np.ndarray):
+            raise FrameError("", f"a frame is an array, not {type(frame).__name__}")
         taken = frame if isinstance(frame, Frame) else self._taken(frame, time_s, small)
         if taken is None:
             return self._last

@@ -40,7 +40,9 @@ def own_rule(rule: Any) -> str:
         kind = imported_model(rule, what="rule")
     if not isinstance(kind, type) or not issubclass(kind, Rule):
         why = f"{str(rule)[:100]} is not a subclass of dlgmd_cli.Rule"
-        raise ParameterError("", why, "See 'A custom model' in the documentation.")
+        is_number = isinstance(rule, int | float)
+        hint = f"Write threshold={rule}." if is_number else "The page 'A custom model' has one."
+        raise ParameterError("", why, hint)
     if kind.__module__ == Rule.__module__:
         return kind.name
     if "." in kind.__qualname__:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.pages.gather import gather
-from dlgmd_cli.parameters.checks import in_argument
+from dlgmd_cli.parameters.checks import in_argument, refuse
 from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_by_video
@@ -79,6 +79,9 @@ def view(
     from dlgmd_cli.pages import page, site  # they import Matplotlib, which is slow
 
     page.require_packages()
+    if no_film:
+        of_film = {"input_path": input_path, "models": models}
+        refuse(of_film, f"works only with the film, not with {argument('no_film', True)}")
     for model in models:
         with in_argument("model"):
             find_model(model)

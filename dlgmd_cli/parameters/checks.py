@@ -2,11 +2,13 @@
 
 import math
 import numbers
+import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, argument
@@ -143,10 +145,41 @@ def nearest(word: str, known: Iterable[str], least: float = 0.6) -> str | None:
     """The word of `known` that is most similar to `word`, or None if none is similar enough."""
 
     def similarity(candidate: str) -> float:
-        return SequenceMatcher(None, candidate, word.lower()).ratio()
+        return SequenceMatcher(None, candidate.lower(), word.lower()).ratio()
 
     best = max(known, key=similarity, default="")
     return best if similarity(best) >= least else None
+
+
+def listed(text: str) -> list[str]:
+    """`9, 3-5` -> ["9", "3", "4", "5"]."""
+    names: list[str] = []
+    for part in map(str.strip, text.split(",")):
+        ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part, re.ASCII)
+        numbers = range(int(ends[1]), int(ends[2]) + 1) if ends else ()
+        names += map(str, numbers) if numbers else [part]
+    return names
+
+
+def similar_path(missing: str | os.PathLike[str]) -> str:
+    """A question that names a file like the missing one, or a camera; empty if none is similar."""
+    if str(missing).isdecimal():
+        return f"Did you mean 'dlgmd live {missing}'?"
+    similar = _similar(Path(missing))
+    return f"Did you mean '{similar}'?" if similar else ""
+
+
+def _similar(path: Path) -> Path | None:
+    """The path itself, or the one that differs by case, suffix or a typo; None without any."""
+    if path.exists():
+        return path
+    parent = _similar(path.parent)
+    if parent is None or not parent.is_dir():
+        return None
+    names = sorted(one.name for one in parent.iterdir())
+    same_stem = [name for name in names if Path(name).stem.lower() == path.stem.lower()]
+    near = nearest(path.name, same_stem or names, 0.0 if same_stem else 0.8)
+    return parent / near if near else None
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -166,11 +199,11 @@ def shown(value: Any) -> str:
     return str(value)[:40]
 
 
-def refuse(given: Mapping[str, Any], why: str) -> None:
+def refuse(given: Mapping[str, Any], why: str, hint: str = "Leave it out.") -> None:
     """Raise ParameterError if one of these arguments is given; the text is its name and `why`."""
     for name, value in given.items():
-        if value is not None and value not in ((), [], ""):
-            raise ParameterError("", f"{argument(name)} {why}", "Leave it out.")
+        if value is not None and value is not False and value not in ((), [], ""):
+            raise ParameterError("", f"{argument(name)} {why}", hint)
 
 
 def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:

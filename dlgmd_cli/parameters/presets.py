@@ -7,6 +7,7 @@ names the class, and a YAML file in `configs/`. A custom model needs none, see `
 
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -22,6 +23,7 @@ from dlgmd_cli.parameters.checks import (
     in_argument,
     require_known,
     shown,
+    similar_path,
 )
 from dlgmd_cli.parameters.facts import (
     InputFacts,
@@ -469,7 +471,7 @@ def load_config(path: str | Path) -> Config:
         return load_preset(name)
     if not path.exists():
         why = "there is no such file or preset"
-        raise ParameterError(name, why, did_you_mean(name, PRESETS).strip())
+        raise ParameterError(name, why, did_you_mean(name, PRESETS).strip() or similar_path(path))
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")
@@ -547,7 +549,7 @@ def _named(name: str, named: Named) -> Config:
 def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     """`KEY=VALUE` strings, each value read as YAML; raises ParameterError."""
     values: dict[str, Value] = {}
-    for pair in pairs:
+    for pair in (one for text in pairs for one in re.split(r",(?=\w+=)", text)):
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
             why = f"{pair[:60]!r} is not KEY=VALUE"

@@ -47,6 +47,8 @@ class Axis:
         if len(words) > MAX_VALUES:
             raise _too_many(len(words))
         spec = kind.specs()[key]
+        if ".." in rest:
+            raise ParameterError("", f"{text[:60]!r} is not an axis", _HINT)
         values = [spec.parse(word, key, bounded=False) for word in words]
         if len(set(values)) < len(values):
             twice = next(value for value in values if values.count(value) > 1)

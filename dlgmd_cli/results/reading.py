@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, ResultError, warn
 from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.own_rules import keep_stored
+from dlgmd_cli.parameters.checks import similar_path
 from dlgmd_cli.parameters.facts import ModelFacts, Processed, Record, of_another_schema, part_of
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
@@ -211,7 +212,8 @@ def _opened(folder: str | Path, name: str, what: str, command: str) -> tuple[Pat
             hint = f"Run 'dlgmd run {folder.name}' first, if it is a video."
             raise ResultError(str(folder), why, hint)
         if not folder.is_dir():
-            raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
+            hint = similar_path(folder) or "Run 'dlgmd run' first."
+            raise ResultError(str(folder), "there is no such folder", hint)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
     record = checked_record(folder / name)

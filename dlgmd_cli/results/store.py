@@ -28,7 +28,7 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import require_known, similar_path
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.results.files import COMPARISON as COMPARISON
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, formats_of, names_of
@@ -135,7 +135,8 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
     folders: list[Path] = []
     for path in paths:
         if not path.exists():
-            raise ResultError(str(path), "there is no such folder", "Run 'dlgmd run' first.")
+            hint = similar_path(path) or "Run 'dlgmd run' first."
+            raise ResultError(str(path), "there is no such folder", hint)
         tree = tree_at(path)
         if tree is None:
             folders.append(path)

@@ -247,9 +247,9 @@ def at_threshold(
     brake without a speed.
     """
     params = setup.params
-    if brake is not None and speed_m_s is None:
+    if speed_m_s is None:
         need = argument("speed_m_s")
-        raise ParameterError("", f"{argument('brake')} works only with {need}", f"Add {need}.")
+        refuse({"brake": brake}, f"works only with {need}", f"Add {need}.")
     if (speed := stopping.speed_of(speed_m_s)) is not None:
         stopping.require_followed(params, threshold)
         params = stopping.following(params, stopping.brake_of(brake), float(speed))
@@ -305,8 +305,10 @@ def options_for(setup: Setup | None, given: Mapping[str, Any]) -> InputOptions:
     other.
     """
     for name in given.keys() - CHECKS.keys():
-        choices = f"Choose from {', '.join(CHECKS)}."
-        raise ParameterError("", f"there is no option {name!r}", choices)
+        hints = {"set": "Name the set second: run('flight.mp4', 9)."}
+        hints |= dict.fromkeys(DlgmdParameters.specs(), f"Write param={{{name!r}: VALUE}}.")
+        hint = hints.get(name, f"Choose from {', '.join(CHECKS)}.")
+        raise ParameterError("", f"there is no option {name!r}", hint)
     explicit = {key: value for key, value in given.items() if value is not None}
     recorded = InputOptions() if setup is None else setup.options
     if explicit.keys() & {"scale", "size"}:

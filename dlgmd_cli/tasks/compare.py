@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from dlgmd_cli.errors import counted
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.errors import argument, counted
+from dlgmd_cli.parameters.checks import refuse, require_known
 from dlgmd_cli.parameters.facts import (
     InputFacts,
     Json,
@@ -271,6 +271,11 @@ def compare(
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
     notes.require(labels)
     formats = store.known_formats(formats, store.COMPARISON)
+    if out is not None and not formats:
+        refuse(
+            {"one_panel": one_panel},
+            f"works only with a figure, not with {argument('formats', 'none')}",
+        )
     if until is not None:
         require_known("until", until, ("collision",))
     with call.opened(video, request, store.COMPARISON, out, overwrite=overwrite) as (source, claim):

@@ -13,6 +13,7 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, argument, printable, warn
 from dlgmd_cli.models.rules import MIN_FPS
+from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.results import store
@@ -82,7 +83,9 @@ def info(
     """
     paths = [os.fspath(p) for p in ([videos] if isinstance(videos, str | os.PathLike) else videos)]
     mask = None if write_mask is None else Path(write_mask)
-    if mask is not None:
+    if mask is None:
+        refuse({"overwrite": overwrite}, f"works only with {argument('write_mask')}")
+    else:
         if len(paths) > 1:
             raise ParameterError("", f"{argument('write_mask')} works with one INPUT")
         store.refuse_existing(mask, overwrite=overwrite, named_by="write_mask")

@@ -307,6 +307,8 @@ class LayerResult(Outcome):
 
 def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
     """The frames of a sheet in order, each once; raises ParameterError for more than 12."""
+    if not isinstance(frames, Iterable) or isinstance(frames, str):
+        raise ParameterError("", "frames is not a list", "Write frames=[50, 65].")
     chosen = tuple(sorted({*frames}))
     if len(chosen) > MAX_SHOWN_FRAMES:
         why = f"{len(chosen)} frames are too many for one sheet"

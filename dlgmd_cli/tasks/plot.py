@@ -92,6 +92,8 @@ def plot(
         results = results.results
     if isinstance(results, Result):
         results = [results]
+    if isinstance(results, str | os.PathLike):
+        raise ParameterError("", "results are no path", f"Write read_results({str(results)!r}).")
     if not isinstance(results, Mapping):
         results = list(results)
         results = dict(zip(numbered([result.title for result in results]), results, strict=True))
@@ -101,9 +103,8 @@ def plot(
 def _drawer(align: str | None, *, mean: bool) -> Callable[..., Figure]:
     """The function that draws results over video time, or over the time to their collisions."""
     if align is None:
-        if mean:
-            why = f"{argument('mean')} works only with {argument('align', 'collision')}"
-            raise ParameterError("", why)
+        align_option = argument("align", "collision")
+        refuse({"mean": mean}, f"works only with {align_option}", f"Add {align_option}.")
         return drawn_by("traces.plot")
     require_known("align", align, ("collision",))
     return partial(drawn_by("aligned.plot"), mean=mean)

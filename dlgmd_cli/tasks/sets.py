@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
-from dlgmd_cli.errors import ParameterError, printable
+from dlgmd_cli.errors import ParameterError, argument, printable
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import presets
-from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.checks import Spec, refuse
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.presets import ModelName
 from dlgmd_cli.results import store
@@ -65,6 +65,7 @@ def sets(
     config = presets.config_of(model)
     chosen = ParameterSet(config, presets.parameters_of(config))
     if plot is None:
+        refuse({"overwrite": overwrite}, f"works only with {argument('plot')}")
         return chosen
     path = Path(plot)
     suffix = path.suffix.lower().removeprefix(".")

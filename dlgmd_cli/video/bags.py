@@ -89,7 +89,6 @@ class BagDecoder:
     kind = NAME
     is_damaged = False
     takes_every_frame = False
-    uses: tuple[str, ...] = ("topic",)
     _message: Any = None
 
     def __init__(self, path: Path, topic: str | None = None, *, any_topic: bool = False) -> None:

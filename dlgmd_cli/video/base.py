@@ -222,7 +222,7 @@ def _numbers(pattern: str, text: Any) -> list[int]:
 
 def parse_size(text: Any, name: str = "") -> tuple[int, int]:
     """`480x270` -> (480, 270), as a pair; raises ParameterError."""
-    sides = _numbers("N[x×X]N", text)
+    sides = _numbers("N[x×X*]N", text)
     if not sides:
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
     return checked_size((sides[0], sides[1]))
@@ -237,7 +237,7 @@ def checked_size(size_wh: tuple[int, int]) -> tuple[int, int]:
 
 def parse_crop(text: Any, name: str = "") -> Crop:
     """`640x360+0+60` -> Crop(640, 360, 0, 60), as four numbers; raises ParameterError."""
-    numbers = _numbers(r"N[x×X]N\+N\+N", text)
+    numbers = _numbers(r"N[x×X*]N\+N\+N", text)
     if not numbers or not numbers[0] or not numbers[1]:
         hint = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
         raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", hint)

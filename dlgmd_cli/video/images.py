@@ -47,7 +47,6 @@ class _Series:
 
     is_damaged = False
     takes_every_frame = True
-    uses: tuple[str, ...] = ()
 
     def __init__(self, images: Iterable[Any], fps: float) -> None:
         self._images, self._fps, self._index = images, fps, 0
@@ -308,7 +307,9 @@ class ArrayDecoder(_Series):
         is_float = image.dtype.kind == "f"
         is_known = is_float or image.dtype in (np.uint8, np.uint16)
         if not (is_picture and is_known and image.size):
-            raise SourceError(self._name, f"frame {self._index} is {kind}", f"Give {_KINDS}.")
+            is_text = image.dtype.kind == "U"
+            hint = "one path to a video; batch takes several" if is_text else _KINDS
+            raise SourceError(self._name, f"frame {self._index} is {kind}", f"Give {hint}.")
         self._kind = self._kind or kind
         if kind != self._kind:
             why = f"frame {self._index} is {kind}, not {self._kind}"

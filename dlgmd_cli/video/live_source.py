@@ -20,6 +20,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import FULL, Frame, Image, Levels, small_wh
 from dlgmd_cli.machine.threads import started_thread
+from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.reduction import Reducer
 from dlgmd_cli.stream.clock import StreamClock
 from dlgmd_cli.stream.continuity import Continuity, GapDetector
@@ -347,9 +348,8 @@ class LiveSource:
                 size_wh=self.options.size,
                 width_px=self.width_px,
             )
-            if self.options.size is not None and (why := region.lacks(self.size_wh)):
-                why = f"{argument('size')} has no effect: {why}"
-                raise ParameterError("", why, "Leave it out.")
+            if why := region.lacks(self.size_wh):
+                refuse({"size": self.options.size}, f"has no effect: {why}")
         if region is not self.region:
             region.hidden(self.size_wh)  # raises ParameterError if no cell is left
             self._continuity.begin(region.hidden(region.size_wh), shot.levels)
@@ -554,7 +554,7 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
         hint = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
         raise ParameterError(name, "there is no such source", hint)
     if is_realtime and (source == "-" or scheme or is_camera(source)):
-        raise ParameterError(argument("realtime"), "works only with files", "Leave it out.")
+        refuse({"realtime": True}, "works only with files")
     if has_size and source != "-" and not is_camera(source):
         why = "works only with a pipe or a camera"
         hint = f"Use {argument('size')} for the frames of the model."

@@ -23,14 +23,12 @@ class Decoder(Protocol):
     `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
     `takes_every_frame` says whether every frame is processed by default, as for images and arrays.
     By default, videos are reduced to the rate a model is designed for, without duplicates.
-    `uses` are the options that apply only to some inputs, and to this one.
     """
 
     info: SourceInfo
     kind: str
     is_damaged: bool
     takes_every_frame: bool
-    uses: tuple[str, ...]
 
     def stamps(self) -> Iterator[float]:
         """Step through the frames; yields the time of each in seconds, NaN if unknown."""

@@ -49,7 +49,6 @@ class OpenCVDecoder:
 
     kind = "opencv"
     takes_every_frame = False
-    uses: tuple[str, ...] = ("decoder",)
 
     def __init__(self, name: str) -> None:
         self.is_damaged = False

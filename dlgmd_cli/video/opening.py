@@ -15,7 +15,7 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.frame import FULL
-from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.checks import refuse, require_known, similar_path
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.stream.clock import RATE_TOLERANCE, sampling_step
@@ -218,9 +218,14 @@ def _unused(
     opened: Decoder, decoder: str, size_wh: tuple[int, int] | None, region: Region
 ) -> dict[str, str]:
     """The options without effect on an open input, and why."""
-    uses = {*opened.uses, *(("bit_depth",) if opened.info.levels[1] > FULL[1] else ())}
-    unused = {name: why for name, why in ONLY_FOR.items() if why and name not in uses}
-    if "decoder" in uses and opened.kind != decoder:
+    is_video = isinstance(opened, OpenCVDecoder | PyAVDecoder)
+    uses = {
+        "decoder": is_video,
+        "topic": isinstance(opened, bags.BagDecoder),
+        "bit_depth": opened.info.levels[1] > FULL[1],
+    }
+    unused = {name: ONLY_FOR[name] for name, is_used in uses.items() if not is_used}
+    if is_video and opened.kind != decoder:
         unused["decoder"] = "PyAV reads this input, which OpenCV would misread"
     if size_wh is not None and (why := region.lacks(size_wh)):
         unused["size"] = why
@@ -241,8 +246,7 @@ def require_used(given: Collection[str], inputs: Iterable[Mapping[str, str]]) ->
         if not left:
             return
     for name in sorted(left if reasons else ()):
-        why = f"{argument(name)} has no effect: {reasons[name]}"
-        raise ParameterError("", why, "Leave it out.")
+        refuse({name: True}, f"has no effect: {reasons[name]}")
 
 
 def _info(
@@ -476,7 +480,9 @@ def _check_readable(path: Path) -> None:
     """Raise SourceError with the reason if a file cannot be opened; FFmpeg gives no reason."""
     name = str(path)
     if not path.exists():
-        raise SourceError(name, "there is no such file or folder", "Check the path.")
+        raise SourceError(
+            name, "there is no such file or folder", similar_path(path) or "Check the path."
+        )
     if not path.is_file():
         raise SourceError(name, "is a pipe or a device; only files are read", _RECORD)
     try:

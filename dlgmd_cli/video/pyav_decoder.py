@@ -67,7 +67,6 @@ class PyAVDecoder:
 
     kind = "pyav"
     takes_every_frame = False
-    uses: tuple[str, ...] = ("decoder",)
 
     def __init__(self, name: str, *, deinterlaces: bool = False, probes: bool = False) -> None:
         av = import_av()

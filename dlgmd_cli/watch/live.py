@@ -105,30 +105,27 @@ class LiveOptions:
 
     def check(self, source: str) -> None:
         """Raise ParameterError for options that need another option, or work only with a pipe."""
-        speaks, brakes = self.jsonl or self.udp, self.mavlink_brake
+        speaks = self.jsonl or self.udp
         may_brake = self.mavlink and self.mavlink_modes
         modes = "Name the modes in which it may act: GUIDED,AUTO."
         either = f"{argument('jsonl', True)} or {argument('udp')}"
-        needs = (
-            ("events", either, speaks, "Add one of them."),
-            ("mavlink_brake", _both("mavlink", "mavlink_modes"), may_brake, modes),
-            *(
-                (name, "mavlink_brake", brakes, "")
-                for name in ("mavlink_modes", "mavlink_brake_mode")
-            ),
-            *((name, "mavlink", self.mavlink, "") for name in _OF_MAVLINK),
-            *((name, "record", self.record, "") for name in _OF_RECORD),
-            ("loop", "realtime", self.realtime, ""),
-            *((name, "a pipe", source == "-", _PIPE) for name in ("lockstep", "pixel_format")),
-            ("input_fps", "lockstep", self.lockstep, ""),
-            *((name, "speed_m_s", self.speed_m_s, "") for name in _STOP),
+        brake_modes = ("mavlink_modes", "mavlink_brake_mode")
+        needs: tuple[tuple[tuple[str, ...], str, object, str], ...] = (
+            (("events",), either, speaks, "Add one of them."),
+            (("mavlink_brake",), _both("mavlink", "mavlink_modes"), may_brake, modes),
+            (brake_modes, argument("mavlink_brake", True), self.mavlink_brake, ""),
+            (_OF_MAVLINK, argument("mavlink"), self.mavlink, ""),
+            (_OF_RECORD, argument("record"), self.record, ""),
+            (("loop",), argument("realtime", True), self.realtime, ""),
+            (("lockstep", "pixel_format"), "a pipe", source == "-", _PIPE),
+            (("input_fps",), argument("lockstep", True), self.lockstep, ""),
+            (_STOP, argument("speed_m_s"), self.speed_m_s, ""),
         )
-        usual = LiveOptions()
-        for name, what, is_there, hint in needs:
-            if getattr(self, name) != getattr(usual, name) and not is_there:
-                what = argument(what) if hasattr(self, what) else what
-                hint = hint or f"Add {what}."
-                raise ParameterError("", f"{argument(name)} works only with {what}", hint)
+        changed = {one.name: getattr(self, one.name) != one.default for one in fields(self)}
+        for names, what, is_there, hint in needs:
+            if not is_there:
+                given = {name: changed[name] for name in names}
+                refuse(given, f"works only with {what}", hint or f"Add {what}.")
         if self.keep_video and self.keep_last:
             both = f"{argument('keep_video')} and {argument('keep_last')}"
             raise ParameterError("", f"{both} exclude each other", "Give one.")

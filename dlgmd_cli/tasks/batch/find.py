@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters.checks import similar_path
 from dlgmd_cli.parameters.facts import InputFacts
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
@@ -132,7 +133,7 @@ class _Search:
             is_folder = stat.S_ISDIR(Path(absolute).stat().st_mode)
         except (OSError, ValueError) as error:  # ValueError: a NUL in the name
             why = f"cannot be read ({failure_text(error)})"
-            raise SourceError(root, why, "Check the path.") from None
+            raise SourceError(root, why, similar_path(root) or "Check the path.") from None
         if is_folder:
             self._left_out.discard(_key_of(absolute))
             self._walk(prefix, absolute)
