@@ -142,9 +142,11 @@ def evaluate(
         refuse({**given, **options}, "does not work with results, which are there already")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
-    has_speed = speed is not None or any(one.speed_m_s for case in cases for one in case.labels)
-    if stopping.brake != Brake() and not has_speed:
-        why = "the options of a stop have no effect: no contact has a speed"
+    every = [label for case in cases for label in case.labels]
+    has_speed = speed is not None or any(label.speed_m_s for label in every)
+    has_brake = stopping.brake != Brake() or any(label.brake for label in every)
+    if has_brake and not has_speed:
+        why = "who brakes, and how, has no effect: no contact has a speed"
         raise ParameterError("", why, f"Add {argument('speed_m_s')}, or a column speed_m_s.")
     with ExitStack() as opened:
         if out is not None:
