@@ -90,7 +90,7 @@ class Autopilot:
         The modes that brake, in order; none for a plane, or for a VTOL of PX4 unless it reports
         that it hovers.
     jerk : (str, float) or None
-        ArduCopter's parameter of the stop, by name, in m/s³; None until a possible value is reported.
+        ArduCopter's parameter of the stop, by name, in m/s³; None until it has a valid value.
     """
 
     def __init__(self, system: int, braking: Sequence[str] = ()) -> None:
