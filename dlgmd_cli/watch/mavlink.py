@@ -56,9 +56,9 @@ class Mavlink:
     heard, or heard again, is asked for its attitude, position and velocity, ten times a second.
 
     With `modes`, an alarm commands the autopilot to brake, see `Braking`: only if its last
-    heartbeat is at most 3 s old, it is armed and in one of the modes; never while the source shows nothing,
-    or if two autopilots speak with the same number, see `Peers`. Commands and the autopilot's
-    answers are reported as events, and STATUSTEXT tells the pilot.
+    heartbeat is at most 3 s old, it is armed and in one of the modes; never while the source shows
+    nothing, or if two autopilots speak with the same number, see `Peers`. Commands and the
+    autopilot's answers are reported as events, and STATUSTEXT tells the pilot.
 
     Parameters
     ----------
