@@ -186,10 +186,8 @@ def brake_of(
     return replace(chosen, number=number, jerk_m_s3=jerk_m_s3, react_s=react_s)
 
 
-def speed_of(speed: float | str | None, *words: str) -> float | str | None:
-    """A checked speed in m/s, or one of the allowed `words` as is; raises ParameterError."""
-    if speed is None or speed in words:
-        return speed
+def speed_of(speed: float | str) -> float:
+    """A checked speed in m/s; raises ParameterError."""
     with in_argument("speed_m_s"):
         return float(_SPEED.parse(str(speed)))
 

@@ -131,10 +131,10 @@ def evaluate(
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
     max_false_per_min = false_per_min(max_false_per_min)
-    speed = speed_of(speed_m_s)
+    speed = None if speed_m_s is None else speed_of(speed_m_s)
     stopping = Stopping(
         brake_of(brake, react, tilt, jerk),
-        None if speed is None else float(speed),
+        speed,
         for_all=(brake, tilt, jerk) != (None, None, None),
     )
     if results is not None:
