@@ -31,7 +31,7 @@ _TILT_DEG = 25.0
 _PX4_M_S2, _PX4_S = 3.0, 0.6
 
 _REACT, _SPEED = Spec(float, 0, 10), Spec(float, STANDING_M_S, 100)
-_TILT, _JERK = Spec(float, 5, 45), Spec(float, 0.1, 1000)
+_TILT, JERK = Spec(float, 5, 45), Spec(float, 0.1, 1000)
 _DECELERATION, _SECONDS = Spec(float, 0.1, 100), Spec(float, 0, 30, low_open=True)
 _HINT = "Write arducopter, arducopter:20, px4, tilt, a time as 1.7s, or a deceleration in m/s²."
 
@@ -92,7 +92,7 @@ class Brake:
         name, colon, jerk = text.partition(":")
         try:
             if name == ARDUCOPTER:
-                return cls(name, _JERK.parse(jerk) if colon else ARDUCOPTER_JERK_M_S3)
+                return cls(name, JERK.parse(jerk) if colon else ARDUCOPTER_JERK_M_S3)
             if text in (PX4, TILT):
                 return cls(text, _TILT_DEG)
             if text.endswith("s"):
@@ -182,14 +182,12 @@ def brake_of(
     with in_argument("tilt"):
         number = chosen.number if tilt is None else _TILT.check(tilt)
     with in_argument("jerk"):
-        jerk_m_s3 = chosen.jerk_m_s3 if jerk is None else _JERK.check(jerk)
+        jerk_m_s3 = chosen.jerk_m_s3 if jerk is None else JERK.check(jerk)
     return replace(chosen, number=number, jerk_m_s3=jerk_m_s3, react_s=react_s)
 
 
-def speed_of(speed: float | str | None, *words: str) -> float | str | None:
-    """A checked speed in m/s, or one of the allowed `words` as is; raises ParameterError."""
-    if speed is None or speed in words:
-        return speed
+def speed_of(speed: float | str) -> float:
+    """A checked speed in m/s; raises ParameterError."""
     with in_argument("speed_m_s"):
         return float(_SPEED.parse(str(speed)))
 

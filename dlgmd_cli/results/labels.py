@@ -223,7 +223,8 @@ def _label(
 def _brake(table: TextTable, row: int, cell: str) -> str:
     """The cell that says who brakes; raises ResultError if `Brake.parse` does not know it."""
     try:
-        return cell and Brake.parse(cell).text
+        # Numbers of a table may have a decimal comma.
+        return cell and Brake.parse(cell.replace(",", ".")).text
     except ParameterError as error:
         raise table.at(row, "brake", error.why, error.hint) from None
 

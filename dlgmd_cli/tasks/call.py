@@ -250,9 +250,10 @@ def at_threshold(
     if speed_m_s is None:
         need = argument("speed_m_s")
         refuse({"brake": brake}, f"works only with {need}", f"Add {need}.")
-    if (speed := stopping.speed_of(speed_m_s)) is not None:
+    if speed_m_s is not None:
         stopping.require_followed(params, threshold)
-        params = stopping.following(params, stopping.brake_of(brake), float(speed))
+        speed = stopping.speed_of(speed_m_s)
+        params = stopping.following(params, stopping.brake_of(brake), speed)
     elif threshold is not None:
         rule = rule_of(params)
         if not rule.key:

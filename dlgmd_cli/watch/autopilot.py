@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, argument
-from dlgmd_cli.models.stopping import ARDUCOPTER, PX4
+from dlgmd_cli.models.stopping import ARDUCOPTER, JERK, PX4
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.heading import MOTION_FRESH_S, Velocity, along_axes
@@ -90,7 +90,7 @@ class Autopilot:
         The modes that brake, in order; none for a plane, or for a VTOL of PX4 unless it reports
         that it hovers.
     jerk : (str, float) or None
-        ArduCopter's parameter of the stop, by name, in m/s³; None until it is reported.
+        ArduCopter's parameter of the stop, by name, in m/s³; None until it has a valid value.
     """
 
     def __init__(self, system: int, braking: Sequence[str] = ()) -> None:
@@ -181,7 +181,7 @@ class Autopilot:
             self.mode = self._tables.mode_string_v10(message)
             self.brakes = self._braking_modes(message.autopilot, message.type)
         elif kind == "PARAM_VALUE":
-            if message.param_id in JERKS and 0.0 < message.param_value < math.inf:
+            if message.param_id in JERKS and JERK.low <= message.param_value <= JERK.high:
                 self.jerk = message.param_id, round(message.param_value, 3)
         elif kind == "EXTENDED_SYS_STATE":
             self._vtol_state = message.vtol_state

@@ -38,7 +38,7 @@ class _Command:
         return self.answer in ("ACCEPTED", "IN_PROGRESS")
 
 
-class Brake:
+class Braking:
     """Commands an autopilot to brake while an alarm is on, until a heartbeat shows the mode.
 
     Only the mode counts, not the answer. The command is sent every 0.1 s, at most ten times; after

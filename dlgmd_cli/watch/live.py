@@ -345,13 +345,14 @@ def _at_speed(
 
     By the autopilot's speed, the stop is the one that the autopilot told, unless one is given.
     """
-    speed, params = stopping.speed_of(chosen.speed_m_s, AUTOPILOT), setup.params
+    speed, params = chosen.speed_m_s, setup.params
     if speed is None:
         return setup, None
     stopping.require_followed(params, chosen.threshold)
     brake = stopping.brake_of(chosen.brake, chosen.react, chosen.tilt, chosen.jerk)
     if speed != AUTOPILOT:
-        return replace(setup, params=stopping.following(params, brake, float(speed))), None
+        params = stopping.following(params, brake, stopping.speed_of(speed))
+        return replace(setup, params=params), None
     by_autopilot = argument("speed_m_s", AUTOPILOT)
     if chosen.mavlink is None:
         raise ParameterError("", f"{by_autopilot} works only with {argument('mavlink')}", "Add it.")

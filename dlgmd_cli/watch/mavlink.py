@@ -11,10 +11,10 @@ from typing import Any
 from dlgmd_cli import Rule
 from dlgmd_cli.errors import Once, ParameterError, argument, counted
 from dlgmd_cli.models.health import UNMEASURED
-from dlgmd_cli.models.stopping import Brake as StoppingBrake
+from dlgmd_cli.models.stopping import Brake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import HEARD_S, MAX_SPEED_M_S, Autopilot, Mode, dialect
-from dlgmd_cli.watch.brake import Brake
+from dlgmd_cli.watch.brake import Braking
 from dlgmd_cli.watch.links import Address, open_link
 from dlgmd_cli.watch.load import RATE, in_words
 from dlgmd_cli.watch.peers import AUTOPILOTS, Peer, Peers
@@ -55,10 +55,10 @@ class Mavlink:
     BOOT before the first answer and CRITICAL while the source shows nothing. An autopilot that is
     heard, or heard again, is asked for its attitude, position and velocity, ten times a second.
 
-    With `modes`, an alarm commands the autopilot to brake, see `Brake`: only if its last heartbeat
-    is at most 3 s old, it is armed and in one of the modes; never while the source shows nothing,
-    or if two autopilots speak with the same number, see `Peers`. Commands and the autopilot's
-    answers are reported as events, and STATUSTEXT tells the pilot.
+    With `modes`, an alarm commands the autopilot to brake, see `Braking`: only if its last
+    heartbeat is at most 3 s old, it is armed and in one of the modes; never while the source shows
+    nothing, or if two autopilots speak with the same number, see `Peers`. Commands and the
+    autopilot's answers are reported as events, and STATUSTEXT tells the pilot.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Mavlink:
         braking: Sequence[str] = (),
         signing: str | None = None,
         rule: Rule | None = None,
-        react_s: float = StoppingBrake.react_s,
+        react_s: float = Brake.react_s,
     ) -> None:
         key = None if signing is None else key_in(signing)
         self._names = names = dialect()[0]
@@ -118,7 +118,7 @@ class Mavlink:
         self._reports, self._own = reports, (system, component)
         self._target = system, names.MAV_COMP_ID_AUTOPILOT1
         self._pilot = Autopilot(system, braking)
-        self._brake = Brake(self._pilot, modes, self._command, self._report, self._say)
+        self._braking = Braking(self._pilot, modes, self._command, self._report, self._say)
         self._is_to_brake, self._alarm_s = bool(modes), math.inf
         self._stop = Stop(self._pilot, self._ask_parameter, rule, react_s)
         self._peers = Peers(names)
@@ -141,9 +141,9 @@ class Mavlink:
         names, self._reason = self._names, answer.reason
         self._state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
         if answer.event == BEGIN and self._is_to_brake:
-            self._brake.begin()
+            self._braking.begin()
         if answer.event == END:
-            self._brake.end()
+            self._braking.end()
         if answer.frame is not None and answer.detection.alarm:
             self._alarm_s = answer.frame.captured_s
         self.beat()
@@ -173,7 +173,7 @@ class Mavlink:
         if state != self._reported and not is_early:
             self._reported = state
             self._report(AUTOPILOT, **state, **self._at_speed())
-        self._brake.step(self._objection())
+        self._braking.step(self._objection())
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             self._send_heartbeat(self._state)
@@ -354,7 +354,7 @@ class Mavlink:
         if is_ours and message.command == names.MAV_CMD_DO_SET_MODE:
             known = names.enums["MAV_RESULT"].get(message.result)
             name = known.name.removeprefix("MAV_RESULT_") if known else str(message.result)
-            self._brake.answer(name)
+            self._braking.answer(name)
 
     def _send_threat(self, answer: Answer) -> None:
         names, detection = self._names, answer.detection

@@ -2,7 +2,8 @@
 
 import math
 import time
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
@@ -13,8 +14,8 @@ from dlgmd_cli.watch.links import Address
 _PLACE_S, _MAX_PLACES = 5.0, 32
 # Two links of one autopilot report the same time of its start, within the delay of a link (s).
 _SAME_START_S = 1.0
-# By which share of the time the clock of a slow simulator may fall behind.
-_SLOWEST = 0.25
+# So many messages with a clock say when an autopilot was started: after a restart, about 2 s.
+_N_STARTS = 60
 # What several addresses that speak as the autopilot are.
 LINKS, AUTOPILOTS, UNKNOWN = "links of one autopilot", "several autopilots", "unknown"
 
@@ -27,15 +28,15 @@ class Peer:
     ----------
     heard_s, pilot_s : float
         Arrival time of its last message, and of its last one as the autopilot.
-    started_s : float
-        When the autopilot was started, by the last message with its clock; NaN if unknown.
+    starts_s : deque of float
+        When the autopilot was started, by each of its last messages with a clock.
     """
 
     place: Address
     parser: Any
     heard_s: float = -math.inf
     pilot_s: float = -math.inf
-    started_s: float = math.nan
+    starts_s: deque[float] = field(default_factory=lambda: deque(maxlen=_N_STARTS))
 
     @property
     def name(self) -> str:
@@ -80,10 +81,7 @@ class Peers:
         if is_beat and not has_owner:
             self._owner = peer
         if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
-            started_s = now_s - 1e-3 * boot_ms
-            # A message that waited seems to be of a later start; only a slow simulator's really is.
-            latest_s = peer.started_s + _SLOWEST * (now_s - peer.pilot_s)
-            peer.started_s = latest_s if latest_s < started_s else started_s
+            peer.starts_s.append(now_s - 1e-3 * boot_ms)
         if is_beat or peer.pilot_s > -math.inf:
             peer.pilot_s = now_s
         return not has_owner or peer is self._owner
@@ -98,7 +96,8 @@ class Peers:
 
     def kinship(self) -> str:
         """What the speakers are, by the time at which each says it was started."""
-        started_s = [peer.started_s for peer in self.speakers()]
+        # A message that waited on its way seems to be of a later start.
+        started_s = [min(peer.starts_s, default=math.nan) for peer in self.speakers()]
         apart_s = [abs(one - started_s[0]) for one in started_s[1:]]
         if any(one > _SAME_START_S for one in apart_s):
             return AUTOPILOTS

@@ -69,7 +69,7 @@ class Stop:
             return {}
         by, jerk = "default", self._pilot.jerk
         if self.brake.who == ARDUCOPTER:
-            by = "default, no answer" if jerk is None else jerk[0]
+            by = "default, no valid answer" if jerk is None else jerk[0]
         return {"brake": self.brake.text, "brake_by": by}
 
     def warning(self) -> str:

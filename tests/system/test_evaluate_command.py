@@ -399,6 +399,8 @@ def test_labels_have_speeds_angles_and_starts(tmp_path):
         "video,collision_frame,approach_start,speed_m_s,brake,target,kind,manner"
     )
     assert read_cases(path) == [case]
+    path.write_text("video;collision_frame;speed_m_s;approach_start;brake\na.mp4;30;2,5;10;1,7s\n")
+    assert read_cases(path) == [case]
     for cells, why in (
         ("30,0,", "speed_m_s: 0.0 is not above 0"),
         ("30,fast,", "speed_m_s: 'fast' is no number"),

@@ -798,11 +798,12 @@ def test_arducopter_tells_its_stop(link, clock, name):
     assert reports.brake == Brake.parse("arducopter:20")
 
 
-def test_without_an_answer_the_default_is_assumed(link, clock):
-    reports = stops(link, clock)
+@pytest.mark.parametrize("jerk", [None, 0.0, 1e-30, -5.0, math.nan, math.inf, 1e9])
+def test_without_a_valid_answer_the_default_is_assumed(link, clock, jerk):
+    reports = stops(link, clock, jerk=jerk)
     assert len(asked_for(link)) == 3 * len(JERKS)
     facts = reports[-1][1]
-    assert (facts["brake"], facts["brake_by"]) == ("arducopter", "default, no answer")
+    assert (facts["brake"], facts["brake_by"]) == ("arducopter", "default, no valid answer")
     assert reports.brake == Brake.parse("arducopter") and facts["stop_s"] > 1.7
 
 
@@ -954,6 +955,21 @@ def test_messages_that_waited_do_not_make_two_autopilots(link, clock):
         first.mav.attitude_send(int(1e3 * (clock.now - 10)), 0, 0, 0, 0, 0, 0)
         send.beat()
     assert "several autopilots" not in [facts.get("are") for _, facts in reports]
+
+
+def test_an_autopilot_that_restarts_is_the_same_on_an_old_and_a_new_link(link, clock):
+    send, reports = braking()
+    for places, seconds in (((2, 3), 100), ((2, 4), 8)):
+        pilots = [Pilot(link, place=("127.0.0.1", port)) for port in places]
+        for number in range(10 * seconds):
+            clock.now += 0.1
+            for pilot in pilots:
+                pilot.heartbeat()
+                pilot.mav.attitude_send(100 * number, 0, 0, 0, 0, 0, 0)
+            send.beat()
+    assert reports[-1][1]["are"] == "links of one autopilot"
+    send(answer(True, event="begin", captured_s=clock.now))
+    assert commands(link)
 
 
 def test_two_autopilots_with_one_number_are_not_commanded(link, clock):

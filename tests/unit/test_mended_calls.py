@@ -98,7 +98,7 @@ WRONG = [
     # ... and beside another option.
     ("run flight.mp4 --set 9 --param ttc_alarm=1", "ttc_alarm has no effect with the rule spikes"),
     ("batch flights --param ttc_alarm=1", "ttc_alarm has no effect with the rule expansion"),
-    ("evaluate labels.csv --tilt 20", "the options of a stop have no effect: no contact has a"),
+    ("evaluate labels.csv --tilt 20", "who brakes, and how, has no effect: no contact has a speed"),
     ("calibrate labels.csv --set 9 --fov 90", "--fov has no effect: no rule here uses the expan"),
     ("export --alarm spikes --fov 90", "--fov has no effect"),
     ("synth looming-cube --seed 5", "--seed works only with --noise."),

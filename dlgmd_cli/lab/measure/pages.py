@@ -26,6 +26,7 @@ from dlgmd_cli.errors import ResultError, SourceError
 SOURCES = {
     "the code": "numbers that the code defines, or that follow from them by a formula",
     "the paper": "printed by Zhao et al. (2023)",
+    "dlgmd evaluate": "printed by that command, and copied",
     "dlgmd lab paper": "printed by that command, and copied",
     "dlgmd lab bench": "printed by that command, and copied",
     "dlgmd lab fly": "flights that it renders, scored by `dlgmd evaluate`, and copied",

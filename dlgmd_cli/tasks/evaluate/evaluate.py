@@ -131,10 +131,10 @@ def evaluate(
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
     max_false_per_min = false_per_min(max_false_per_min)
-    speed = speed_of(speed_m_s)
+    speed = None if speed_m_s is None else speed_of(speed_m_s)
     stopping = Stopping(
         brake_of(brake, react, tilt, jerk),
-        None if speed is None else float(speed),
+        speed,
         for_all=(brake, tilt, jerk) != (None, None, None),
     )
     if results is not None:
@@ -142,9 +142,11 @@ def evaluate(
         refuse({**given, **options}, "does not work with results, which are there already")
     labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
-    has_speed = speed is not None or any(one.speed_m_s for case in cases for one in case.labels)
-    if stopping.brake != Brake() and not has_speed:
-        why = "the options of a stop have no effect: no contact has a speed"
+    every = [label for case in cases for label in case.labels]
+    has_speed = speed is not None or any(label.speed_m_s for label in every)
+    has_brake = stopping.brake != Brake() or any(label.brake for label in every)
+    if has_brake and not has_speed:
+        why = "who brakes, and how, has no effect: no contact has a speed"
         raise ParameterError("", why, f"Add {argument('speed_m_s')}, or a column speed_m_s.")
     with ExitStack() as opened:
         if out is not None:
