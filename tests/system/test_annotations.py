@@ -75,7 +75,7 @@ def test_collisions_are_black_and_alarms_are_not():
     assert false.get_color() == VERMILION and false.get_linestyle() != "-"
     assert {"collision", "false positive", "pitching"} <= set(texts(figure))
     colours = [to_rgb(item.get_facecolor()[0]) for item in figure.axes[1].collections]
-    assert sorted(colours) == [(0, 0, 0), (0, 0, 0), to_rgb(VERMILION)]  # two spans, the alarm
+    assert sorted(colours) == [to_rgb(VERMILION), *[to_rgb("0.93")] * 2]  # the alarm, two spans
 
 
 def test_a_line_passes_below_the_texts_that_it_would_cross():

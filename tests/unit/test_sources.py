@@ -379,8 +379,8 @@ def test_colours_on_another_axis_are_refused(array):
         open_video(array)
 
 
-@pytest.mark.usefixtures("here")
-def test_an_npz_file_of_one_array_is_read_and_others_are_refused():
+def test_an_npz_file_of_one_array_is_read_and_others_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     np.savez_compressed("one.npz", frames=FRAMES)
     with open_video("one.npz") as video:
         assert len(list(video)) == N_FRAMES
@@ -390,9 +390,9 @@ def test_an_npz_file_of_one_array_is_read_and_others_are_refused():
     assert error.value.hint.endswith(" in Python: dlgmd_cli.run(np.load('two.npz')[NAME]).")
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("version", ["5.0", "7.3"])
-def test_a_file_of_matlab_is_refused_with_a_hint(version):
+def test_a_file_of_matlab_is_refused_with_a_hint(tmp_path, monkeypatch, version):
+    monkeypatch.chdir(tmp_path)
     Path("x.mat").write_bytes(f"MATLAB {version} MAT-file".encode() + bytes(200))
     with pytest.raises(SourceError, match=r"is a file of MATLAB, not a video.*scipy.io.loadmat"):
         open_video("x.mat")
