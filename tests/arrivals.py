@@ -52,7 +52,8 @@ def arriving(n_frames, fps, way, gap_s):
 
 
 class Watched(NamedTuple):
-    """The first frame with an alarm, if any; which frames were left out; whether it was blind."""
+    """The first frame with an alarm, if any; which frames were left out; whether the images
+    counted as bad."""
 
     first: int | None
     left_out: np.ndarray
@@ -68,4 +69,6 @@ def watched(frames, times_s, **options):
     first = next((number for number, answer in enumerate(answers) if answer.alarm), None)
     is_left_out = [answer is before for before, answer in pairwise(answers)]
     left_out = 1 + np.flatnonzero(is_left_out)
-    return Watched(first, left_out, any(answer.blind for answer in answers))
+    return Watched(
+        first, left_out, any(answer.blind not in ("", "unmeasured") for answer in answers)
+    )
