@@ -22,6 +22,7 @@ ALLOWED = {
     "dlgmd_cli.results.store",
     "dlgmd_cli.results.outcome",
     "dlgmd_cli.results.labels",
+    "dlgmd_cli.models.health",
     "dlgmd_cli.models.stopping",
     "dlgmd_cli.video.writer",
     "dlgmd_cli.plots.style",

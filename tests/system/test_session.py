@@ -1,5 +1,6 @@
 """One way from a frame to a row: what `live --record` writes of a file is what `run` writes."""
 
+import re
 import sys
 import time
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from dlgmd_cli.results.files import RUN, names_of
 from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.video import live_source
 
+OF_IMAGES = re.compile(rb"\b(black|flat|noise|frozen)\b")
 COUNTING = """
 import dlgmd_cli
 
@@ -70,7 +72,10 @@ def quick_clock(times):
     ids=str,
 )
 def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, model, options):
-    """Byte for byte, a model's own columns too, where no frame is dropped."""
+    """Byte for byte, a model's own columns too, where no frame is dropped.
+
+    `run` does not judge the images: those reasons of `blind` are in the recording alone.
+    """
     (tmp_path / "counting.py").write_text(COUNTING)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "counting", raising=False)
@@ -83,14 +88,15 @@ def test_a_recording_has_the_rows_of_a_run(runs, filmed, monkeypatch, tmp_path, 
     runs("live", filmed / "a.avi", "--realtime", *model, *options, "--record", "recorded")
     runs("run", filmed / "a.avi", *model, *options)
     for name in names_of(RUN, ()) - {RUN}:
-        recorded = (tmp_path / "recorded" / name).read_bytes()
+        recorded = OF_IMAGES.sub(b"", (tmp_path / "recorded" / name).read_bytes())
         assert recorded == (tmp_path / "dlgmd-out/a" / name).read_bytes(), name
     stored, expected = read_result("recorded"), read_result("dlgmd-out/a")
     assert np.array_equal(stored.is_repeat, expected.is_repeat)
     assert stored.own_columns == expected.own_columns and len(stored) > 15
     keeps = "formulation=released-2021" in model
     assert stored.is_repeat.any() == (not keeps)
-    assert stored.summary == expected.summary
+    shares = {"blind_share": None}
+    assert stored.summary | shares == expected.summary | shares
 
 
 def test_a_session_has_the_answers_of_each_model_alone():
