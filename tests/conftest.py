@@ -26,6 +26,7 @@ from dlgmd_cli.machine.pool import DONE, FAILED, TaskEnd
 from dlgmd_cli.models import filters
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.plots import style
 from dlgmd_cli.results import intervals
@@ -277,6 +278,15 @@ def browser(chromium):
     yield chromium
     for context in chromium.contexts:
         context.close()
+
+
+@pytest.fixture(autouse=True)
+def own_rules():
+    """A rule of a test's own is known as long as the test runs."""
+    known = dict(RULES)
+    yield
+    for name in RULES.keys() - known.keys():
+        del RULES[name]
 
 
 @pytest.fixture(autouse=True)
