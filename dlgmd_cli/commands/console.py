@@ -286,6 +286,7 @@ def _raise_with_call(error: click.UsageError, meant: str) -> NoReturn:
     line = _line(error)
     if meant:
         line = re.sub(r" \(?(Did you mean|Possible options|Write) .*", "", line)
+        line = f"{line.rstrip('.')}."  # older releases of click end without a full stop
     raise click.UsageError(f"{line} {meant}".strip(), error.ctx) from None
 
 
