@@ -51,7 +51,11 @@ RULE_ARGUMENTS: dict[str, Any] = {
     "alarm": str | type[Rule] | None,
     "threshold": float | None,
 }
-RUN_ARGUMENTS: dict[str, Any] = {**RULE_ARGUMENTS, "speed_m_s": float | None}
+RUN_ARGUMENTS: dict[str, Any] = {
+    **RULE_ARGUMENTS,
+    "speed_m_s": float | None,
+    "brake": str | float | None,
+}
 
 
 @dataclass(frozen=True)
@@ -264,6 +268,11 @@ def at_threshold(
     return replace(setup, params=params)
 
 
+def taken_threshold(options: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of `at_threshold`, which are taken out of the options of a task."""
+    return {name: options.pop(name, None) for name in ("threshold", "speed_m_s", "brake")}
+
+
 def with_rule(param: Mapping[str, Value] | None, alarm: Any) -> dict[str, Value]:
     """The parameters with the rule `alarm`, unless None: a name, a class, or MODULE:CLASS."""
     if param is not None and not isinstance(param, Mapping):
@@ -341,7 +350,7 @@ def fold(
     `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
     given = dict(options)
-    at = {name: given.pop(name, None) for name in ("threshold", "speed_m_s", "brake")}
+    at = taken_threshold(given)
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)

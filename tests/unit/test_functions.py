@@ -14,6 +14,7 @@ from conftest import looming_frames
 import dlgmd_cli
 from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.errors import DlgmdError
+from dlgmd_cli.tasks.call import RUN_ARGUMENTS
 
 ROOT = Path(dlgmd_cli.__file__).parent
 
@@ -22,6 +23,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
     ("call", "why"),
     [
         (lambda v: dlgmd_cli.batch(v, out="x"), "SourceError: .*there is no video"),
+        (lambda v: dlgmd_cli.batch(v, brake="px4"), "ParameterError: brake works only with"),
         (lambda v: dlgmd_cli.batch(v, []), "ParameterError: the list of models is empty"),
         (lambda v: dlgmd_cli.batch(v, scael=0.5), "ParameterError: there is no option 'scael'"),
         (lambda v: dlgmd_cli.evaluate("gone.csv"), "ResultError: .*this file is missing"),
@@ -103,6 +105,14 @@ def test_the_model_is_the_second_argument_and_has_a_short_name():
         second = [*inspect.signature(function).parameters.values()][1]
         assert second.name == "model" and second.default is None
         assert "ModelName" in str(second) and "PathLike" not in str(second)
+
+
+@pytest.mark.parametrize("name", ["run", "batch", "compare", "layers", "evaluate", "calibrate"])
+def test_a_function_takes_what_its_command_takes(name):
+    options = {option.name for option in cli.get_command(None, name).params}
+    common = options & RUN_ARGUMENTS.keys()
+    assert len(common) > 5
+    assert common <= inspect.signature(getattr(dlgmd_cli, name)).parameters.keys()
 
 
 def test_numbers_have_the_defaults_of_the_commands():

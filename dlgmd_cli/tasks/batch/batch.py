@@ -42,7 +42,7 @@ from dlgmd_cli.tasks.batch.video import (
     run_video,
 )
 from dlgmd_cli.tasks.call import (
-    RULE_ARGUMENTS,
+    RUN_ARGUMENTS,
     ModelName,
     ModelNames,
     Place,
@@ -72,7 +72,7 @@ _MAX_ROWS = 60
 _READERS = 8
 
 
-@stating(RULE_ARGUMENTS)
+@stating(RUN_ARGUMENTS)
 def batch(
     folders: Place | Iterable[Place],
     model: ModelName | ModelNames | None = None,
@@ -130,7 +130,7 @@ def batch(
         Called with a name, a total and a unit; returns a context manager that yields a function,
         which is called with the number done.
     options
-        Options of the input, as in `run`.
+        Options of the input and of the rule, as in `run`.
 
     Returns
     -------
@@ -155,9 +155,9 @@ def batch(
     """
     _check_scheduler(scheduler, jobs, timeout)
     param = call.with_rule(param, options.pop("alarm", None))
-    threshold = options.pop("threshold", None)
+    at = call.taken_threshold(options)
     setups = call.choose_all(model, param, formulation)
-    request = _agreed([call.at_threshold(one, threshold) for one in setups], options)
+    request = _agreed([call.at_threshold(one, **at) for one in setups], options)
     formats = store.known_formats(formats, store.RUN)
     labels, out = [setup.label for setup in request.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
