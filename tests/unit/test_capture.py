@@ -11,6 +11,7 @@ from reference_data import reference_dir
 from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.models.detection import COLUMNS
 from dlgmd_cli.models.health import BLIND_S, LEAST_MEASURED, Health, Measuring
 from dlgmd_cli.stream.clock import (
     CaptureClock,
@@ -325,6 +326,9 @@ def test_real_clips_are_sound_at_any_rate(name, right):
 
 def test_unmeasured():
     """Beneath the least quality for long enough, over gaps and without times, too."""
+    (meaning,) = (one.meaning for one in COLUMNS if one.name == "blind")
+    # The shipped point of the curve on the page of measurements.
+    assert (LEAST_MEASURED, BLIND_S) == (0.25, 0.7) and "below 0.25 for 0.7 s" in meaning
     n = round(30 * BLIND_S)
     low, sound = [LEAST_MEASURED - 0.01] * (n + 1), [LEAST_MEASURED]
     for times_s in (np.arange(99) / 30, [math.nan] * 99):
