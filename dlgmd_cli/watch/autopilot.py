@@ -118,7 +118,9 @@ class Autopilot:
         first = self.brakes[0] if self.brakes else None
         if first is None or first.name not in ("BRAKE", _PX4_HOLD):
             return ""
-        return ARDUCOPTER if first.name == "BRAKE" else PX4 * (first.sub > 0)
+        if first.name == "BRAKE":
+            return ARDUCOPTER
+        return PX4 if first.sub > 0 else ""
 
     @property
     def speed_m_s(self) -> float:
