@@ -69,9 +69,15 @@ class TestMotion:
         assert 30 < rate.max() <= math.degrees(JERK_M_S3 / 9.81) + 4  # drag adds a little
         assert min(pitch) < -20
 
-    def test_an_agile_drone_tilts_at_once(self):
+    def test_an_agile_drone_tilts_as_fast_as_its_attitude_is_shaped(self):
         path = path_of(Leg("hover", 1), Leg("go", 1, 3.0, tilt_deg=30), agile=True)
-        assert path.at(1.1).attitude_deg[1] < -25 < path.at(0.99).attitude_deg[1]
+        assert path.at(1.5).attitude_deg[1] < -20 < path.at(1.1).attitude_deg[1]
+
+    @pytest.mark.parametrize("agile", [False, True])
+    def test_the_rate_of_the_tilt_never_steps(self, agile):
+        path = path_of(Leg("hover", 1), Leg("go", 1, 3.0, tilt_deg=30), agile=agile, brake_s=1.8)
+        pitch = [path.at(t).attitude_deg[1] for t in np.arange(0, 2, STEP_S)]
+        assert 500 < np.abs(np.diff(pitch, 2)).max() / STEP_S**2 < 1300  # drag adds a little
 
     def test_it_reaches_its_speed_without_overshoot(self):
         path = path_of(Leg("go", 4, 2.0, tilt_deg=20))
@@ -83,10 +89,10 @@ class TestMotion:
         kept, braked = (path_of(Leg("go", 4, 3.0), starts_m_s=3.0, brake_s=s) for s in (None, 1.0))
         n = round(1.0 / STEP_S)
         assert np.array_equal(kept.samples[:n], braked.samples[:n])
-        # v²/2a and half of the time in which the deceleration grows.
+        # v²/2a, half of the time in which the deceleration grows, and the tilt's delay.
         way = braked.at(3.5).position[0] - braked.at(1.0).position[0]
         most = 9.81 * math.tan(math.radians(25))
-        assert abs(way - (9 / (2 * most) + 3 * most / (2 * JERK_M_S3))) < 0.35
+        assert abs(way - (9 / (2 * most) + 3 * most / (2 * JERK_M_S3) + 3 * 0.15)) < 0.2
         assert np.linalg.norm(braked.at(3.5).velocity) < 0.15
 
     def test_a_contact_throws_it_back(self):
@@ -173,10 +179,15 @@ class TestTruth:
         path = stage_of(GROUPS["group2"]).path
         pitch = {frame: path.at(frame / 30).attitude_deg[1] for frame in (38, 50, 124, 138)}
         assert abs(pitch[38]) < 2
-        assert pitch[50] < -5
-        assert pitch[124] < -5
+        assert pitch[50] < -3
+        assert pitch[124] < -3
         assert pitch[138] > 5
-        assert path.at(140 / 30).velocity[0] < path.at(125 / 30).velocity[0]
+        assert path.at(140 / 30).velocity[0] < 0.8 * path.at(125 / 30).velocity[0]
+
+    def test_the_chair_of_group1_can_be_seen(self, mujoco):
+        for seed in (0, 1):
+            frame = fly("group1", seed=seed, size="96x54").frames[100]
+            assert np.median(frame[20:34, 43:53]) < 0.6 * np.median(frame[20:34])
 
     def test_group3_yaws_at_10_degrees_a_second(self, bare):
         path = stage_of(GROUPS["group3"]).path

@@ -54,7 +54,7 @@ from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS
     metavar="DEG",
     help="Angle at which the camera is mounted, upwards positive.",
 )
-@click.option("--agile", is_flag=True, help="Tilt at once, like a racing drone.")
+@click.option("--agile", is_flag=True, help="Tilt as fast as a racing drone.")
 @options.with_default(
     "--seed", type=options.numeric(int, 0, 10**9), default=0, help="Seed of the first flight."
 )

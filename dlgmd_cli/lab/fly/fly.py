@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, counted
 from dlgmd_cli.lab.fly import gl
-from dlgmd_cli.lab.fly.scripts import Options, Script, script_of
+from dlgmd_cli.lab.fly.scripts import TILT_S, Options, Script, script_of
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import LABELS, Label, write_labels
@@ -61,6 +61,7 @@ def fly(
     seed: int = 0,
     size: str | tuple[int, int] = (480, 270),
     fps: float = 30.0,
+    tilt_s: float = TILT_S,
 ) -> Flight:
     """Render a flight; the same arguments give the same frames. `flown` takes all `Options`.
 
@@ -74,6 +75,8 @@ def fly(
         Width and height in px, "480x270" or (480, 270).
     fps : float
         Frames per second.
+    tilt_s : float
+        The time constant with which the drone tilts, in s.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def fly(
     if isinstance(size, str):
         width, _, height = size.partition("x")
         size = int(width), int(height)
-    return flown(Options(scene, seed, size, fps))
+    return flown(Options(scene, seed, size, fps, tilt_s=tilt_s))
 
 
 def flown(options: Options) -> Flight:

@@ -2,7 +2,9 @@
 
 The thrust of a quadrotor is along its own z axis. A drone that accelerates by a, against drag, has
 that axis along a + DRAG v + g: it noses down to gain speed, and up to brake. The acceleration grows
-by at most JERK, so that the tilt changes by at most JERK / g, 47 degrees/s.
+by at most JERK, so that the tilt changes by at most JERK / g, 47 degrees/s, and this rate of the
+tilt changes as ArduCopter shapes its attitude: it follows an error with a time constant, at an
+angular acceleration of at most 1100 degrees/s2 (ATC_ACCEL_P_MAX).
 """
 
 import math
@@ -18,15 +20,18 @@ STEP_S = 1 / 240
 # Radius of the drone: what is that near to the camera is touched.
 HULL_M = 0.15
 G_M_S2 = 9.81
-# Of a stabilised camera drone (PX4: MPC_JERK_MAX), and of one that tilts at once.
+# Of a stabilised camera drone (PX4: MPC_JERK_MAX), and of a racing drone.
 JERK_M_S3, AGILE_JERK_M_S3 = 8.0, 300.0
 DRAG_1_S = 0.2
 # How a drone stops at an alarm.
 BRAKE_TILT_DEG = 25.0
 _CLIMB_M_S2 = 3.0
 _YAW_DEG_S2, _AGILE_YAW_DEG_S2 = 60.0, 600.0
-# The last of an error of speed decays with this time constant.
-_SETTLE_S = 0.15
+# The last of an error of speed decays with this time constant, longer than that of the tilt, so
+# that it settles without a swing.
+_SPEED_S = 0.6
+# The greatest angular acceleration, as the second derivative of the acceleration.
+_SNAP_M_S4 = G_M_S2 * math.radians(1100.0)
 # Speed of the drift of a drone in calm air, for each of three frequencies in Hz.
 _DRIFT_M_S, _DRIFT_HZ = 0.025, (0.3, 0.7, 1.4)
 _DRIFT_YAW_DEG_S = 0.5
@@ -109,7 +114,7 @@ def simulated(script: Script, seed: int, brake_s: float | None = None) -> Path:
     position = np.array([0.0, 0.0, script.height_m])
     yaw, yaw_rate = math.radians(script.yaw_deg), 0.0
     velocity = script.starts_m_s * _heading(yaw)
-    acceleration, rows, number = np.zeros(3), [], 0
+    acceleration, growth, rows, number = np.zeros(3), np.zeros(3), [], 0
     for step in range(n_steps):
         rows.append(np.concatenate((position, velocity, acceleration, [yaw])))
         while number < len(legs) - 1 and step * STEP_S >= ends_s[number]:
@@ -121,9 +126,12 @@ def simulated(script: Script, seed: int, brake_s: float | None = None) -> Path:
         forward = leg.forward_m_s * _heading(yaw)
         wanted = still * drift[step, :3] + forward + [0.0, 0.0, leg.climb_m_s]
         error = wanted - velocity
-        level = _acceleration(error[:2], G_M_S2 * math.tan(math.radians(leg.tilt_deg)), jerk)
-        aim = np.concatenate((level, _acceleration(error[2:], _CLIMB_M_S2, jerk)))
-        acceleration = acceleration + _limited(aim - acceleration, jerk * STEP_S)
+        most = G_M_S2 * math.tan(math.radians(leg.tilt_deg))
+        level = _towards(error[:2], most, jerk, _SPEED_S)
+        aim = np.concatenate((level, _towards(error[2:], _CLIMB_M_S2, jerk, _SPEED_S)))
+        wanted_growth = _towards(aim - acceleration, jerk, _SNAP_M_S4, script.tilt_s)
+        growth = growth + _limited(wanted_growth - growth, _SNAP_M_S4 * STEP_S)
+        acceleration = acceleration + STEP_S * growth
         velocity = velocity + STEP_S * acceleration
         position = position + STEP_S * velocity
         turn = math.radians(leg.yaw_deg_s) + still * drift[step, 3] - yaw_rate
@@ -147,10 +155,14 @@ def _drift(n_steps: int, seed: int) -> FloatArray:
     return np.sum(waves, axis=0) * [*[_DRIFT_M_S] * 3, math.radians(_DRIFT_YAW_DEG_S)]
 
 
-def _acceleration(error: FloatArray, most: float, jerk: float) -> FloatArray:
-    """The acceleration that removes an error of speed, and can itself end in time."""
+def _towards(error: FloatArray, most: float, change: float, settle_s: float) -> FloatArray:
+    """The rate, at most `most`, that removes an error and can itself end in time.
+
+    The rate changes by at most `change` a second. The last of the error decays with the time
+    constant `settle_s`.
+    """
     size = float(np.linalg.norm(error))
-    wanted = min(most, math.sqrt(1.6 * jerk * size), size / _SETTLE_S)
+    wanted = min(most, math.sqrt(1.6 * change * size), size / settle_s)
     return error * (wanted / max(size, 1e-9))
 
 

@@ -49,8 +49,8 @@ def _carton(b: "Part") -> None:
 
 
 def _chair(b: "Part") -> None:
-    """A chair of one colour that turns its back to the drone."""
-    look = Look("plain", _shade(b, 0.3, 0.6))
+    """A chair of one dark colour that turns its back to the drone."""
+    look = Look("plain", _shade(b, 0.1, 0.25))
     b.box((0.44, 0.46, 0.05), (-0.2, 0, 0.46), look)
     b.box((0.05, 0.46, 0.5), (0, 0, 0.74), look)
     _legs(b, (-0.4, 0.0), 0.21, (0.022, 0.46), look)
@@ -93,10 +93,15 @@ def _person(b: "Part") -> None:
     b.ball((0.11, 0.1, 0.1), (-0.03, 0, 1.72), Look("bark", 0.6))
 
 
-def _board(b: "Part") -> None:
-    """A board with a gridding pattern on two feet, 1 m wide."""
-    b.board((1.0, 1.0), (0.02, 0, 1.1), Look("grid", once=True))
-    _legs(b, (-0.02,), 0.45, (0.02, 1.6), Look("wood", 0.5))
+def _board(b: "Part", side: float = 1.0) -> None:
+    """A board with a gridding pattern on two feet, as wide as high."""
+    b.board((side, side), (0.02, 0, 1.1), Look("grid", once=True))
+    _legs(b, (-0.02,), 0.45 * side, (0.02, 1.6), Look("wood", 0.5))
+
+
+def _panel(b: "Part") -> None:
+    """A wider board."""
+    _board(b, 1.6)
 
 
 def _poster(b: "Part") -> None:
@@ -223,6 +228,7 @@ KINDS: dict[str, Kind] = {
     "crate": Kind(_crate, 0.65, (0, 0), 0.25),
     "drone": Kind(_drone, 0.35, (0, 0), 0.1),
     "notebook": Kind(_notebook_on_table, 0.9, (0.94, 0.99), 0.15, INDOORS),
+    "panel": Kind(_panel, 0.9, (0.5, 1.7), 0.7, is_drawn=False),
     "person": Kind(_person, 0.4, (1.0, 1.6), 0.12),
     "pillar": Kind(_pillar, 0.4, (0.8, 1.8), 0.2),
     "pole": Kind(_pole, 0.12, (0.8, 2.0), 0.1),
