@@ -93,7 +93,7 @@ COLUMNS = (
     Column(
         "attenuation_db",
         "dB",
-        "10 lg(ΣS/ΣP); `-inf` at −69 dB and less, drawn at −60",
+        "10 lg(ΣS/ΣP); `-inf` at −69 dB and less, the rounding of float32; drawn at −60",
         (ATTENUATION,),
     ),
 )

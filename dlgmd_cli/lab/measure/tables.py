@@ -1,19 +1,17 @@
 """The tables that `dlgmd lab measure` measures: a function each, which returns it in Markdown."""
 
 import math
-import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import dlgmd_cli
 from dlgmd_cli.lab.measure import approaches
-from dlgmd_cli.lab.measure.scores import Row, evaluated, number, of_all, reference, rows_of, table
+from dlgmd_cli.lab.measure.scores import evaluated, number, of_all, reference, table
 from dlgmd_cli.lab.measure.unmeasured import unmeasured
 from dlgmd_cli.results.labels import read_cases
 
@@ -90,60 +88,16 @@ def ttc_real() -> str:
     return _errors(reference("footage"))
 
 
-@cache
-def _verdicts() -> list[Row]:
-    """The rows of `claims.csv` on what the paper says of its model, one for each verdict.
+def paper() -> str:
+    """The claims of the paper: how many hold, and each by verdict.
 
-    Figs. 8, 10 and 12 are judged on the authors' frames alone, and no time of Table IV is.
+    The folder dlgmd-paper in the working folder keeps what is computed: an interrupted run goes on.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        options = ["--quick", "--reference", reference("clips").parents[1]]
-        command = [sys.executable, "-m", "dlgmd_cli", "lab", "paper", *options, "--out", folder]
-        subprocess.run([*map(str, command)], check=True)
-        rows = [row for row in rows_of(Path(folder, "claims.csv")) if row["whose"] == "paper"]
-    rows = [row for row in rows if not row["id"].startswith(_TIMES)]
-    found = {(row["id"], row["formulation"]): row for row in reversed(rows)}
-    found |= {
-        (row["id"], row["formulation"]): row for row in rows if row["shown_on"] == "authors' frames"
-    }
-    return [*found.values()]
-
-
-# The claims on times, and what the other claims are about where that is not a figure.
-_TIMES = "table4-time"
-_PARTS = {
-    "lateral": "III-C, large objects",
-    "table4": "Table IV, DA",
-    "ablation": "I, contributions",
-}
-VERDICTS = {"yes": "✓", "no": "✗", "undecided": "?", "empty": "○", "tie": "=", "untestable": "–"}
-
-
-def paper_totals() -> str:
-    """How many claims of the paper hold in each version."""
-    versions = dict.fromkeys(row["formulation"] for row in _verdicts())
-    rows = []
-    for version in (name for name in reversed(versions) if name != "any"):
-        own = [row["verdict"] for row in _verdicts() if row["formulation"] in (version, "any")]
-        rows.append([f"`{version}`", *(str(own.count(verdict)) for verdict in VERDICTS)])
-    return table(["version", *VERDICTS.values()], rows)
-
-
-def paper_figures() -> str:
-    """How many claims hold, of those that can be tested, by figure."""
-    shown = ("default", "released-2021", "released-2020", "equations")
-    of_figure: dict[str, list[Row]] = {}
-    for row in _verdicts():
-        if row["verdict"] != "untestable":
-            of_figure.setdefault(re.split("[a-d]?-", row["id"])[0], []).append(row)
-    rows = []
-    for figure, found in reversed(of_figure.items()):
-        cells = [_PARTS.get(figure, figure.replace("fig", "Fig. "))]
-        for version in shown:
-            own = [row["verdict"] for row in found if row["formulation"] in (version, "any")]
-            cells.append(f"{own.count('yes')}/{len(own)}")
-        rows.append(cells)
-    return table(["", *(f"`{version}`" for version in shown)], rows)
+    folder = Path("dlgmd-paper")
+    options = ["--reference", reference("clips").parents[1], "--out", folder, "--overwrite"]
+    command = [sys.executable, "-m", "dlgmd_cli", "lab", "paper", *options]
+    subprocess.run([*map(str, command)], check=True)
+    return (folder / "claims.md").read_text(encoding="utf-8").strip()
 
 
 class Measured(NamedTuple):
@@ -162,6 +116,5 @@ TABLES = {
     "unmeasured": Measured(unmeasured, 10),
     "ttc-synthetic": Measured(ttc_synthetic, 1),
     "ttc-real": Measured(ttc_real, 1),
-    "paper-totals": Measured(paper_totals, 9),
-    "paper-figures": Measured(paper_figures, 9),
+    "paper": Measured(paper, 180),
 }

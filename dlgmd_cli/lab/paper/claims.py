@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -32,6 +33,7 @@ _MADE_BY = ("dlgmd", "commit", "cpu", "os")
 COLUMNS = (
     *("id", "claim", "source", "whose", "formulation", "measure", "criterion", "threshold"),
     *("shown_on", "seed", "value", "holds", "median", "low", "high", "seeds", "verdict"),
+    *("at_first", "n_tried", "flipped_by", "undecided_by"),
     *("null_value", "null_holds", "input", "input_sha256", *_MADE_BY),
 )
 # What holds between a value and the threshold, and its sign.
@@ -47,7 +49,11 @@ _OUTSIDE = 0.05
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper; `claims.yaml` explains the fields."""
+    """One claim of the paper; `claims.yaml` explains the fields.
+
+    `readings` are other measures of the same sentence, by name. Each is a claim of its own, whose
+    values evidence has under the id `CLAIM~NAME`.
+    """
 
     id: str
     claim: str
@@ -63,6 +69,24 @@ class Claim:
     tie: tuple[float, float] | None = None
     why_not: str = ""
     why_undecided: str = ""
+    words: str = ""
+    objection: str = ""
+    answer: str = ""
+    tries: Sequence[float] = ()
+    label: str = ""
+    readings: Mapping[str, "Claim"] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, key: str, fields: Mapping[str, Any]) -> "Claim":
+        """A claim from its fields in `claims.yaml`."""
+        others = fields.get("readings", {})
+        claim = cls(key, **{**fields, "readings": {}})
+        of_reading = {name: (f"{key}~{name}", changes) for name, changes in others.items()}
+        readings = {
+            name: replace(claim, id=at, tries=(), **changes)
+            for name, (at, changes) in of_reading.items()
+        }
+        return replace(claim, readings=readings)
 
     @property
     def sign(self) -> str:
@@ -74,7 +98,8 @@ class Claim:
 class ExhibitSpec:
     """Texts and claims of an exhibit, from `claims.yaml`.
 
-    `says` is what the paper says, in this project's words.
+    `says` is what the paper says, in this project's words; `decides` what would decide the claims
+    that are open.
     """
 
     id: str
@@ -83,6 +108,7 @@ class ExhibitSpec:
     says: str
     about: str
     claims: Mapping[str, Claim]
+    decides: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,7 +116,8 @@ class Finding:
     """The values of a claim under one version of the model, one per seed, or a single one.
 
     `frames` says on which frames, see `Plan.name`, and `inputs` which they are, see `Evidence`.
-    `null` are the values of the same version without inhibition, if it was measured.
+    `null` are the values of the same version without inhibition, if it was measured. `tried` are
+    the findings of other thresholds, readings, constants and motions, each with what it is.
     """
 
     claim: Claim
@@ -101,6 +128,7 @@ class Finding:
     frames: str = ""
     seeds: tuple[int | None, ...] = (None,)
     inputs: Mapping[int | None, Mapping[str, str]] = field(default_factory=dict)
+    tried: Sequence[tuple[str, "Finding"]] = ()
 
     @property
     def of_null(self) -> "Finding | None":
@@ -135,10 +163,29 @@ class Finding:
         return YES if met == {True} else NO
 
     @property
-    def verdict(self) -> str:
+    def at_first(self) -> str:
         """As `holds`, but `empty` if inhibition should bring it about, and it holds without."""
         null = self.of_null if self.claim.kind == SELECTS else None
         return EMPTY if self.holds == YES and null is not None and null.holds == YES else self.holds
+
+    @property
+    def flipped_by(self) -> list[str]:
+        """What of that which was tried gives another verdict."""
+        open_ = (UNDECIDED, UNTESTABLE)
+        if self.at_first in open_:
+            return []
+        return [t for t, other in self.tried if other.at_first not in (self.at_first, *open_)]
+
+    @property
+    def undecided_by(self) -> list[str]:
+        """What of that which was tried gives no verdict, where the finding itself has one."""
+        is_open = self.at_first == UNDECIDED
+        return [t for t, other in self.tried if other.at_first == UNDECIDED and not is_open]
+
+    @property
+    def verdict(self) -> str:
+        """The verdict `at_first`, or `undecided` if something that was tried gives another."""
+        return UNDECIDED if self.flipped_by else self.at_first
 
     def meets(self, value: float) -> bool | None:
         """Whether a value meets the criterion; None if it is undefined."""
@@ -170,8 +217,8 @@ def load_claims() -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
     document = yaml.safe_load(CLAIMS.read_text("utf-8"))
     specs = {}
     for name, spec in document["exhibits"].items():
-        claims = {key: Claim(key, **each) for key, each in spec.pop("claims").items()}
-        specs[name] = ExhibitSpec(name, claims=claims, **spec)
+        claims = {key: Claim.of(key, each) for key, each in spec["claims"].items()}
+        specs[name] = ExhibitSpec(name, **{**spec, "claims": claims})
     return specs, document["remarks"]
 
 
@@ -209,18 +256,61 @@ def _matches(text: str, name: str) -> bool:
     return name.startswith(text) and not name[len(text) : len(text) + 1].isdigit()
 
 
-def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Plan) -> list[Finding]:
-    """Claims under each version of the model, as far as the evidence of a plan has them."""
-    results = []
+def findings(
+    claims: Iterable[Claim],
+    source: str,
+    evidence: Evidence,
+    plan: Plan,
+    trials: Iterable[tuple[str, Evidence]] = (),
+) -> list[Finding]:
+    """Claims under each version of the model, as far as the evidence of a plan has them.
+
+    `trials` are the evidence with another constant, or of other motion, and what that is.
+    """
+    trials, results = list(trials), []
     for claim in claims:
-        values = evidence.values.get(claim.id, {})
-        for version in (name for name in (ANY, *VERSIONS) if name in values):
-            found, null = values[version], values.get(NULLS.get(version, ""), ())
-            seeds = plan.seeds if len(found) == len(plan.seeds) else (None,) * len(found)
-            facts = plan.name, seeds, evidence.inputs
-            place = OURS if claim.whose == OURS else claim.source or source
-            results.append(Finding(claim, place, version, tuple(found), tuple(null), *facts))
+        for version in (ANY, *VERSIONS):
+            found = _finding(claim, version, source, evidence, plan)
+            if found:
+                tried = tuple(_tried(found, evidence, trials, plan))
+                results.append(replace(found, tried=tried))
     return results
+
+
+def _finding(
+    claim: Claim, version: str, source: str, evidence: Evidence, plan: Plan
+) -> Finding | None:
+    """The finding about a claim under a version; None if the evidence does not have it."""
+    values = evidence.values.get(claim.id, {})
+    if version not in values:
+        return None
+    found, null = values[version], values.get(NULLS.get(version, ""), ())
+    seeds = plan.seeds if len(found) == len(plan.seeds) else (None,) * len(found)
+    place = OURS if claim.whose == OURS else claim.source or source
+    facts = plan.name, seeds, evidence.inputs
+    return Finding(claim, place, version, tuple(found), tuple(null), *facts)
+
+
+def _tried(
+    found: Finding, evidence: Evidence, trials: Iterable[tuple[str, Evidence]], plan: Plan
+) -> Iterator[tuple[str, Finding]]:
+    """What else was tried: thresholds, readings, constants that matter, and other motion."""
+    claim = found.claim
+    unit = f" {claim.unit}" if claim.unit else ""
+    for threshold in claim.tries:
+        text = f"threshold {number(threshold)}{unit}"
+        yield text, replace(found, claim=replace(claim, threshold=threshold))
+    others = [(each.label, each, evidence) for each in claim.readings.values()]
+    for text, reading, seen in [*others, *((text, claim, each) for text, each in trials)]:
+        other = _finding(reading, found.version, found.source, seen, plan)
+        if other and (reading is not claim or not _are_alike(found, other)):
+            yield text, other
+
+
+def _are_alike(one: Finding, other: Finding) -> bool:
+    """Whether two findings have the same values: what was changed does not matter to them."""
+    each = ((*finding.values, *finding.null) for finding in (one, other))
+    return all(a == b or (a != a and b != b) for a, b in zip(*each, strict=True))
 
 
 def write_claims(path: Path, results: Iterable[Finding], made_by: Mapping[str, str]) -> None:
@@ -233,7 +323,9 @@ def write_claims(path: Path, results: Iterable[Finding], made_by: Mapping[str, s
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         for finding in results:
-            writer.writerows(row | machine for row in _rows(finding))
+            readings = [other for _, other in finding.tried if "~" in other.claim.id]
+            for each in (finding, *readings):
+                writer.writerows(row | machine for row in _rows(each))
 
 
 def _rows(finding: Finding) -> Iterator[dict[str, str]]:
@@ -261,6 +353,10 @@ def _rows(finding: Finding) -> Iterator[dict[str, str]]:
             "high": _cell(high),
             "seeds": str(len(finding.values)),
             "verdict": finding.verdict,
+            "at_first": finding.at_first,
+            "n_tried": str(len(finding.tried)),
+            "flipped_by": "; ".join(finding.flipped_by),
+            "undecided_by": "; ".join(finding.undecided_by),
             "null_value": _cell(null.values[place]) if null else "",
             "null_holds": null.holds if null else "",
             "input": " ".join(inputs),
@@ -293,3 +389,14 @@ def number(value: float | str) -> str:
         return "0"
     text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
     return text.replace("-", "−").replace("inf", "∞")
+
+
+def shown(finding: Finding) -> str:
+    """The value, or the median over seeds with its interval."""
+    if len(finding.values) == 1:
+        text, threshold = number(finding.median), finding.claim.threshold
+        # With three digits, a value could look like the threshold that it just meets or fails.
+        is_close = text == number(threshold) and finding.median != threshold
+        return f"{finding.median:.6g}".replace("-", "−") if is_close else text
+    low, high = map(number, finding.interval)
+    return number(finding.median) if low == high else f"{number(finding.median)} ({low} to {high})"

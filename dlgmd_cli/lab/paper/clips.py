@@ -2,8 +2,9 @@
 
 import hashlib
 import math
+import pickle
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,8 @@ NULLS |= dict.fromkeys(("whole-unlimited", "equations"), NULLS["nearest-unlimite
 EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 # The flights of the paper's Table III; other scenes are plain stimuli.
 GROUPS = ("group1", "group2", "group3", "group4", "group5")
+# The code that makes responses: if it changes, none that is kept is good.
+_CODE = ("frame.py", "reduction.py", "scenes.py", "models", "parameters", "lab/fly")
 # The kernel of the LGMD's inhibition.
 _LGMD_INHIBITION = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]], np.float32) / 8.0
 
@@ -135,22 +138,53 @@ def seen(clip: Clip) -> Seen:
     return Seen(frames, {})
 
 
-def run_clip(clip: Clip, models: Models) -> ClipResults:
+def run_clip(clip: Clip, models: Models, kept: Path | None = None) -> ClipResults:
     """Run every model over a clip; if the scene has a collision, the results' peaks end there.
 
-    Models that are equal, with frames of one size, are computed once.
+    Models that are equal, with frames of one size, are computed once. With a folder `kept`, those
+    that an earlier run has left there are read, and what is computed is added to them.
     """
-    shown = seen(clip)
-    scaled = {label: m if isinstance(m, tuple) else (m, 1.0) for label, m in models.items()}
-    results: dict[tuple[AnyModel, float], dlgmd_cli.Result] = {}
-    for scale in dict.fromkeys(scale for _, scale in scaled.values()):
-        distinct = dict.fromkeys(each for each, at in scaled.values() if at == scale)
-        options = {"scale": scale, "fps": FPS, "repeats": "keep"}
-        answers = dlgmd_cli.run(shown.frames, tuple(distinct), **options)
-        results |= {(m, scale): answer for m, answer in zip(distinct, answers, strict=True)}
-    found = {label: results[at].until(shown.collision_frame) for label, at in scaled.items()}
-    digest = hashlib.sha256(shown.frames.tobytes()).hexdigest()
-    return ClipResults(clip, found, shown.phases, digest)
+    wanted = {label: m if isinstance(m, tuple) else (m, 1.0) for label, m in models.items()}
+    path = kept and kept / f"{clip.name}-{_digest(clip)}.pickle"
+    known: ClipResults | None = None
+    if path and path.exists():
+        known = pickle.loads(path.read_bytes())
+    results = dict(known.results) if known else {}
+    keys = {label: _digest(each) for label, each in wanted.items()}
+    missing = {keys[label]: wanted[label] for label in keys if keys[label] not in results}
+    if known is None or missing:
+        shown = seen(clip)
+        for scale in dict.fromkeys(scale for _, scale in missing.values()):
+            distinct = {key: m for key, (m, at) in missing.items() if at == scale}
+            options = {"scale": scale, "fps": FPS, "repeats": "keep"}
+            answers = dlgmd_cli.run(shown.frames, tuple(distinct.values()), **options)
+            for key, answer in zip(distinct, answers, strict=True):
+                results[key] = answer.until(shown.collision_frame)
+        digest = hashlib.sha256(shown.frames.tobytes()).hexdigest()
+        known = ClipResults(clip, results, shown.phases, digest)
+        if path:
+            keep(path, known)
+    return replace(known, results={label: results[key] for label, key in keys.items()})
+
+
+def keep(path: Path, value: Any) -> None:
+    """Write a value so that an interruption leaves the earlier file, or the whole new one."""
+    unfinished = path.with_suffix(".part")
+    unfinished.write_bytes(pickle.dumps(value))
+    unfinished.replace(path)
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:12]
+
+
+def code_digest() -> str:
+    """A digest of the code that makes responses."""
+    package, sha = Path(dlgmd_cli.__file__).parent, hashlib.sha256()
+    for place in (package / name for name in _CODE):
+        for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
+            sha.update(path.read_bytes())
+    return sha.hexdigest()[:12]
 
 
 def reference_clip(reference: Path | None, scene: str, **options: Any) -> Clip:

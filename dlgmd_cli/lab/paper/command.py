@@ -15,7 +15,7 @@ from dlgmd_cli.commands.console import Command, progress, show
     metavar="ID,ID",
     help="Figures, tables or claims, such as fig12,table4; repeatable.  [default: all]",
 )
-@click.option("--quick", is_flag=True, help="Three seeds instead of 20, no check at 1920x1080.")
+@click.option("--quick", is_flag=True, help="Three seeds, and no Table IV at 1920x1080.")
 @click.option(
     "--reference",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
@@ -39,14 +39,17 @@ def paper(
 
     \b
     Examples:
-      dlgmd lab paper --quick                 # three seeds, without 1920x1080
+      dlgmd lab paper --quick                 # three seeds, ten minutes
       dlgmd lab paper --out paper             # everything
       dlgmd lab paper --only fig12,table4     # a figure and a table
 
-    Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.csv, one row per
-    claim, version of the model and seed; and every figure as PNG and PDF. A version is a reading
-    of the text or of one of the authors' two codes; each claim is checked under all of them, and
-    without inhibition. The flights need MuJoCo, the report Jinja2: 'dlgmd[lab]' has both.
+    Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.md, the claims by
+    verdict; OUT/claims.csv, one row per claim, version of the model and seed; and every figure as
+    PNG and PDF. A version is a reading of the text or of one of the authors' two codes; each claim
+    is checked under all of them, and without inhibition. The flights need MuJoCo, the report
+    Jinja2: 'dlgmd[lab]' has both.
+
+    OUT/responses keeps what the models gave, so that an interrupted run goes on where it was.
 
     The exit code is 0 whether claims hold or not.
     """

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from dlgmd_cli import DLGMD, DlgmdParameters
 from dlgmd_cli.lab.paper.clips import EVERY, Clip, Series, model, reference_clip, seen
+from dlgmd_cli.lab.paper.free import frames, free
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan, Steps, by_version
-from dlgmd_cli.lab.paper.stimuli import FEW
+from dlgmd_cli.lab.paper.plan import ANY, FEW, Evidence, Plan, Steps, by_version
 from dlgmd_cli.plots.style import FLOOR_DB
 
 Layer = npt.NDArray[np.float32]
@@ -41,8 +41,10 @@ class ObjectSums:
     shares: dict[str, Series]
 
 
-def object_sums(clip: Clip, models: Mapping[str, DlgmdParameters]) -> ObjectSums:
-    """Run models over the clip with the ball and the capsules."""
+def object_sums(
+    clip: Clip, models: Mapping[str, DlgmdParameters], active: float, sparse: int
+) -> ObjectSums:
+    """Run models over the clip with the ball and the capsules; see `shares_in`."""
     frames = seen(clip).frames
     boxes = [object_boxes(frames.shape[1:], index) for index in range(len(frames))]
     sums, shares = {}, {}
@@ -57,32 +59,32 @@ def object_sums(clip: Clip, models: Mapping[str, DlgmdParameters]) -> ObjectSums
             p, s, g = response.layers.p, response.layers.s, response.layers.g
             assert p is not None and s is not None and g is not None
             sums[label][:, index] = np.array([[p[b].sum(), s[b].sum()] for b in boxes[index]]).T
-            shares[label][index] = shares_in(p, s, g)
+            shares[label][index] = shares_in(p, s, g, active, sparse)
     return ObjectSums(sums, shares)
 
 
 N_SHARES = 5
-# A cell is active above this, in luminance; and sparse if at most so many of the 4x4 around it are.
-_ACTIVE, _SPARSE = 0.01, 4
 
 
-def shares_in(p: Layer, s: Layer, g: Layer) -> Series:
+def shares_in(p: Layer, s: Layer, g: Layer, active: float, sparse: int) -> Series:
     """How P and S, (H, W), are spread, and what G makes of the cells of S.
+
+    A cell is active above a luminance, and sparse if at most so many of the 4x4 around it are.
 
     The standard deviations of P and of S over the cells where P is active, by their means; the
     shares that G removes of the active cells of S with few active cells around them, and of the
     others; and ΣG by ΣS over those others. NaN without such cells.
     """
-    is_active = s > _ACTIVE
+    is_active = s > active
     # Rows and columns -1 to +2 about each cell, as G sums them.
     window, edge = np.ones((4, 4), np.float32), cv2.BORDER_CONSTANT
     around = cv2.filter2D(is_active.astype(np.float32), -1, window, anchor=(1, 1), borderType=edge)
-    active, moving = np.flatnonzero(is_active), np.flatnonzero(p > _ACTIVE)
-    is_sparse = around.ravel()[active] <= _SPARSE
-    places = active[is_sparse], active[~is_sparse]
+    cells, moving = np.flatnonzero(is_active), np.flatnonzero(p > active)
+    is_sparse = around.ravel()[cells] <= sparse
+    places = cells[is_sparse], cells[~is_sparse]
     spread = [_spread(layer.ravel()[moving]) for layer in (p, s)]
-    kept = [g.ravel()[cells] for cells in places]
-    removed = [(cells == 0.0).mean() if cells.size else np.nan for cells in kept]
+    kept = [g.ravel()[at] for at in places]
+    removed = [(of == 0.0).mean() if of.size else np.nan for of in kept]
     gain = kept[1].sum() / s.ravel()[places[1]].sum() if kept[1].size else np.nan
     return np.array([*spread, *removed, gain])
 
@@ -112,10 +114,6 @@ def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]
     ]
 
 
-# Number of frames before contact over which the ball is measured.
-_BALL_FRAMES = 10
-
-
 def fig8(plan: Plan) -> Steps:
     """The attenuation around a ball that approaches and capsules that translate.
 
@@ -123,11 +121,13 @@ def fig8(plan: Plan) -> Steps:
     """
     if plan.reference is None:
         yield {}
-        return Evidence({f"fig8-{name}": {ANY: [math.nan]} for name in (*_MEASURES, "p")})
+        untested = [name for name in (*_MEASURES, "p") if "~" not in name]
+        return Evidence({f"fig8-{name}": {ANY: [math.nan]} for name in untested})
     clip = reference_clip(plan.reference, "ball-and-capsules")
     models = {f"set9/{v}": model(9, v) for v in EVERY}
-    data = yield {"fig8": partial(object_sums, clip, models)}
-    objects: ObjectSums = data["fig8"]
+    key = f"fig8, {free('active')}, {free('sparse')}"
+    data = yield {key: partial(object_sums, clip, models, free("active"), frames("sparse"))}
+    objects: ObjectSums = data[key]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
     def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
@@ -137,7 +137,8 @@ def fig8(plan: Plan) -> Steps:
         return {name: (frame, db[:, place]) for place, name in enumerate(names)}
 
     values = {f"fig8-{n}": by_version(partial(_measured, objects, n)) for n in _MEASURES}
-    values["fig8-p"] = {ANY: [_p_by_speed(objects)]}
+    values["fig8-p"] = {ANY: [float(np.divide(*_p_by_speed(objects)[[-1, 0]]))]}
+    values["fig8-p~without"] = {ANY: [float(np.divide(*_p_by_speed(objects)[[-1, 1]]))]}
     panels = [Panel(v, curves(objects.sums[f"set9/{v}"])) for v in FEW]
     draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
     return Evidence(values, {"fig8": draw})
@@ -152,7 +153,7 @@ def _object_db(objects: ObjectSums, label: str) -> Series:
     """The attenuation of the ball shortly before contact, then of each capsule."""
     sums = objects.sums[label]
     p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
-    p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
+    p[0], s[0] = np.nansum(sums[:, -frames("ball") :, 0], axis=1)
     return _decibels(p, s)
 
 
@@ -161,15 +162,25 @@ def _median_shares(objects: ObjectSums, label: str) -> Series:
     return np.asarray(np.nanmedian(objects.shares[label], axis=0))
 
 
+def _mean_shares(objects: ObjectSums, label: str) -> Series:
+    """Means of `shares_in` over the frames."""
+    return np.asarray(np.nanmean(objects.shares[label], axis=0))
+
+
 # What a claim measures, and of which series.
 _Measure = tuple[Callable[[Series], float], Callable[[ObjectSums, str], Series]]
 _MEASURES: dict[str, _Measure] = {
     "capsules": (lambda db: db[1:].max(), _object_db),
+    "capsules~middle": (lambda db: float(np.median(db[1:])), _object_db),
     "ball": (lambda db: db[0] - db[1:].max(), _object_db),
-    "polarised": (lambda shares: shares[1] / shares[0], _median_shares),
-    "sparse": (lambda shares: shares[2] - shares[3], _median_shares),
-    "amplifies": (lambda shares: shares[4], _median_shares),
+    "ball~middle": (lambda db: db[0] - float(np.median(db[1:])), _object_db),
 }
+for _how, _of in (("", _median_shares), ("~mean", _mean_shares)):
+    _MEASURES |= {
+        f"polarised{_how}": (lambda shares: shares[1] / shares[0], _of),
+        f"sparse{_how}": (lambda shares: shares[2] - shares[3], _of),
+        f"amplifies{_how}": (lambda shares: shares[4], _of),
+    }
 
 
 def _measured(objects: ObjectSums, name: str, version: str) -> float:
@@ -177,8 +188,7 @@ def _measured(objects: ObjectSums, name: str, version: str) -> float:
     return float(measure(series_of(objects, f"set9/{version}")))
 
 
-def _p_by_speed(objects: ObjectSums) -> float:
-    """The sum of P by speed in the box of a capsule, the greatest by the least."""
+def _p_by_speed(objects: ObjectSums) -> Series:
+    """The sum of P by speed in the box of each capsule, the least first."""
     p = objects.sums["set9/default"][0, : LAST_APART + 1, 1:]
-    by_speed = np.nansum(p, axis=0) / [speed for _, speed in CAPSULES]
-    return float(by_speed.max() / by_speed.min())
+    return np.sort(np.nansum(p, axis=0) / [speed for _, speed in CAPSULES])

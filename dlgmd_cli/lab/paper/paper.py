@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import partial
-from itertools import groupby
+from functools import cached_property, partial
+from itertools import chain, groupby
 from pathlib import Path
 from types import ModuleType
 
@@ -18,17 +18,18 @@ import dlgmd_cli
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.lab.paper import claims, flights, objects, stimuli, table4
 from dlgmd_cli.lab.paper.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
-from dlgmd_cli.lab.paper.clips import VERSIONS, Value, check_reference, model
+from dlgmd_cli.lab.paper.clips import VERSIONS, check_reference, code_digest, model
+from dlgmd_cli.lab.paper.free import HELD
 from dlgmd_cli.lab.paper.plan import (
     ANY,
-    Draw,
     Evidence,
     Plan,
     Started,
     Steps,
     compute,
     needed,
-    plans_of,
+    plan_of,
+    trials_of,
 )
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.outcome import Written
@@ -37,8 +38,8 @@ from dlgmd_cli.results.store import ClaimedFolder, claimed
 # Takes a name, a total and a unit; yields a callback for the number done.
 Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
-REPORT, TABLE = "report.html", "claims.csv"
-TEMPLATE = Path(__file__).with_name("report.html.jinja")
+REPORT, TABLE, PAGE = "report.html", "claims.csv", "claims.md"
+TEMPLATES = Path(__file__).parent
 # Of each verdict.
 _WORDS = (
     "holds",
@@ -72,66 +73,24 @@ def made_by() -> dict[str, str]:
 class Section:
     """An exhibit in the report: its texts, and what it shows.
 
-    `shown` is what it shows under each plan: its own, then others, at full size or on the authors'
-    frames. Where it shows the authors' frames, they decide.
+    `trials` is what it would show with another constant or other motion, each with what that is.
     """
 
     spec: ExhibitSpec
-    shown: Sequence[tuple[Plan, Evidence]]
+    plan: Plan
+    evidence: Evidence
+    trials: Sequence[tuple[str, Evidence]] = ()
 
-    @property
+    @cached_property
     def found(self) -> list[Finding]:
-        """The finding about each claim and version.
-
-        A claim is judged under the first plan that shows it, or on the authors' frames.
-        """
-        results = []
-        plans = sorted(self.shown, key=lambda shown: shown[0].reference is None)
-        for claim in self.spec.claims.values():
-            each = (findings([claim], self.spec.source, evidence, plan) for plan, evidence in plans)
-            results += next(filter(None, each), [])
-        return results
-
-    @property
-    def beside(self) -> dict[str, dict[tuple[str, str], Finding]]:
-        """Name of another plan -> findings by claim and version, but those that are judged."""
-        judged = {(finding.claim.id, finding.version): finding.frames for finding in self.found}
-        return {
-            plan.name: {
-                (finding.claim.id, finding.version): finding
-                for finding in findings(self.spec.claims.values(), self.spec.source, evidence, plan)
-                if judged.get((finding.claim.id, finding.version)) != plan.name
-            }
-            for plan, evidence in self.shown
-        }
-
-    @property
-    def all_found(self) -> list[Finding]:
-        """The findings under every plan, for `claims.csv`."""
-        return self.found + [each for others in self.beside.values() for each in others.values()]
+        """The finding about each claim and version."""
+        each, source = self.spec.claims.values(), self.spec.source
+        return findings(each, source, self.evidence, self.plan, self.trials)
 
     @property
     def by_claim(self) -> list[list[Finding]]:
         """The findings grouped by claim, in the order of the file."""
         return [list(some) for _, some in groupby(self.found, lambda finding: finding.claim.id)]
-
-    @property
-    def figures(self) -> dict[str, tuple[str, Draw]]:
-        """File name without suffix -> on which frames, and the function that draws the figure."""
-        figures = {stem: ("", draw) for stem, draw in self.shown[0][1].figures.items()}
-        for plan, evidence in self.shown[1:]:
-            suffix = "full" if plan.is_larger else "authors"
-            for stem, draw in evidence.figures.items():
-                figures[f"{stem}-{suffix}"] = (plan.name, draw)
-        return figures
-
-    @property
-    def tables(self) -> dict[str, list[tuple[Value, ...]]]:
-        """Title -> rows of the tables, of all plans."""
-        tables = dict(self.shown[0][1].tables)
-        for plan, evidence in self.shown[1:]:
-            tables |= {f"{title}, {plan.name}": rows for title, rows in evidence.tables.items()}
-        return tables
 
     @property
     def held(self) -> dict[str, Counter[str]]:
@@ -154,57 +113,47 @@ class Report:
         return [finding for section in self.sections for finding in section.found]
 
     def write(self, folder: Path, on_figure: Callable[[int], None]) -> list[Path]:
-        """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
+        """Write figures as PNG and PDF, `claims.csv`, `claims.md` and the report; returns paths.
 
-        The path of the page comes first. An earlier page stays until the new one is complete.
+        That of the report comes first. An earlier report stays until the new one is complete.
         Raises OutputError.
         """
-        paths = [folder / REPORT, folder / TABLE]
+        paths = [folder / REPORT, folder / PAGE, folder / TABLE]
         with ClaimedFolder(folder, REPORT).staged() as stage:
             for number, section in enumerate(self.sections, start=1):
-                for stem, (_, draw) in section.figures.items():
+                for stem, draw in section.evidence.figures.items():
                     figure = draw()
                     for suffix in ("png", "pdf"):
                         paths.append(folder / f"{stem}.{suffix}")
                         save_figure(figure, stage / paths[-1].name)
                 on_figure(number)
-            judged = [finding for section in self.sections for finding in section.all_found]
             machine = made_by()
-            claims.write_claims(stage / TABLE, judged, machine)
-            (stage / REPORT).write_text(self.html(stage, machine), encoding="utf-8")
+            claims.write_claims(stage / TABLE, self.found, machine)
+            for name in (PAGE, REPORT):
+                (stage / name).write_text(self.text(name, stage, machine), encoding="utf-8")
         return paths
 
-    def html(self, folder: Path, machine: Mapping[str, str]) -> str:
-        """The page, with the figures in a folder; every text is escaped."""
+    def text(self, name: str, folder: Path, machine: Mapping[str, str]) -> str:
+        """The report, with the figures in a folder, every text escaped; or the page in Markdown."""
         jinja2 = require_jinja()
-        environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        environment.filters["number"], environment.filters["shown"] = number, shown
-        with_authors = any(section.shown[-1][0].reference for section in self.sections)
-        template = environment.from_string(TEMPLATE.read_text("utf-8"))
-        page: str = template.render(
+        is_html = name.endswith(".html")
+        environment = jinja2.Environment(autoescape=is_html, trim_blocks=True, lstrip_blocks=True)
+        environment.filters["number"], environment.filters["shown"] = number, claims.shown
+        template = environment.from_string((TEMPLATES / f"{name}.jinja").read_text("utf-8"))
+        text: str = template.render(
             **vars(self),
             picture=lambda stem: base64.b64encode((folder / f"{stem}.png").read_bytes()).decode(),
             versions_of={name: model(9, name) for name in VERSIONS},
             any=ANY,
-            with_authors=with_authors,
+            held=HELD,
+            with_authors=any(section.plan.reference for section in self.sections),
             counts=counts(self.found),
             whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),
             words=dict(zip(VERDICTS, _WORDS, strict=True)),
             marks=dict(zip(VERDICTS, "✓○=✗?–", strict=True)),
             made_by=machine,
         )
-        return page
-
-
-def shown(finding: Finding) -> str:
-    """The value, or the median over seeds with its interval."""
-    if len(finding.values) == 1:
-        text, threshold = number(finding.median), finding.claim.threshold
-        # With three digits, a value could look like the threshold that it just meets or fails.
-        is_close = text == number(threshold) and finding.median != threshold
-        return f"{finding.median:.6g}".replace("-", "−") if is_close else text
-    low, high = map(number, finding.interval)
-    return number(finding.median) if low == high else f"{number(finding.median)} ({low} to {high})"
+        return text
 
 
 _EACH: tuple[Callable[[Plan], Steps], ...] = (
@@ -266,23 +215,34 @@ def paper(
     # Nothing else has run in the last minute, as far as known.
     is_idle = hasattr(os, "getloadavg") and os.getloadavg()[0] < _IDLE
     plan = Plan(quick, is_idle=is_idle)
-    plans = {name: plans_of(name, plan, reference) for name in specs}
-    started = {name: [Started(EXHIBITS[name](p)) for p in plans[name]] for name in plans}
-    tasks = needed(exhibit for each in started.values() for exhibit in each)
+    plans = {name: plan_of(name, plan, reference) for name in specs}
+    started = {name: Started(EXHIBITS[name], plans[name]) for name in plans}
+    trials = {
+        name: [
+            (trial.text, Started(EXHIBITS[name], trial.plan, trial.constant, trial.value))
+            for trial in trials_of(name, of)
+        ]
+        for name, of in plans.items()
+    }
+    tried = (exhibit for each in trials.values() for _, exhibit in each)
+    tasks = needed(chain(started.values(), tried))
     with claimed(out, names=(REPORT, TABLE), overwrite=overwrite):
+        kept = out / "responses" / code_digest()
+        kept.mkdir(parents=True, exist_ok=True)
         with progress("paper", len(tasks), "clip") as on_result:
-            data = compute(tasks, jobs, on_result)
+            data = compute(tasks, jobs, on_result, kept)
         sections = []
         for name, spec in specs.items():
-            each = [exhibit.evidence(data) for exhibit in started[name]]
-            sections.append(Section(spec, list(zip(plans[name], each, strict=True))))
+            shown, others = started[name].evidence(data), trials[name]
+            seen = [(text, exhibit.evidence(data)) for text, exhibit in others]
+            sections.append(Section(spec, plans[name], shown, seen))
         options = {"only": ",".join(only), "quick": quick, "reference": reference}
         report = Report(sections, remarks, plan, _command(options))
         with progress("figures", len(specs), "figure") as on_figure:
             paths = report.write(out, on_figure)
     held = counts(report.found).items()
     rows = [(name, *(str(count[kind]) for kind in VERDICTS)) for name, count in held]
-    return Written(tuple(paths[:2]), ((_HEADER, rows),))
+    return Written(tuple(paths[:3]), ((_HEADER, rows),))
 
 
 def _command(options: Mapping[str, object]) -> str:

@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import DlgmdError
-from dlgmd_cli.lab.paper.clips import EVERY, VERSIONS, Clip, Value, run_clip
+from dlgmd_cli.lab.fly.scripts import TILT_S
+from dlgmd_cli.lab.paper.clips import EVERY, NULLS, Clip, Value, run_clip
+from dlgmd_cli.lab.paper.free import FREE, trying
 from dlgmd_cli.machine.pool import results_of
 
 # What an exhibit needs: for a clip, the models that see it, by label; for a name, a call without
@@ -27,23 +30,27 @@ ANY = "any"
 TIMING = "timing"
 # Width and height of the flights: usual, and the paper's.
 USUAL_WH, FULL_WH = (480, 270), (1920, 1080)
-# Seeds of a report; of a quick one, and of the check at full size.
+# Seeds of a report, and of a quick one.
 _SEEDS, FEW_SEEDS = 20, 3
+# The versions on flights at full size, and on those with smoother motion: the default, a code of
+# the authors, and their text.
+FEW = ("default", "released-2020", "equations")
+# The time constant of a tilt that is smoother than that of a real autopilot.
+SMOOTHER_S = 2 * TILT_S
 
-# Exhibits that are checked at the paper's frame size, those with frames by the authors, and those
-# for which there are no others.
-AT_FULL_SIZE = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da"}
+# Exhibits that need the paper's frame size, those with flights, and those with the authors' frames.
+AT_FULL_SIZE = {"table4-da"}
+FLOWN = {"fig1", "fig13", "fig14", "fig15", "fig16", "fig17", "table4-da", "ablation"}
 OF_AUTHORS = {"fig8": "ball_and_capsules", "fig10": "looming_ball", "fig12": "looming_ball"}
-ONLY_OF_AUTHORS = ("fig8",)
 
 
 @dataclass(frozen=True)
 class Plan:
     """How an exhibit is made: extent, frame size, and whose frames.
 
-    `quick` is fewer seeds and coarser grids. `flight_wh` is the width and height of the flights;
-    larger ones have fewer seeds and no null models. `reference` is the folder of the authors'
-    frames. `is_idle` says that nothing else runs, so that
+    `quick` is fewer seeds and coarser grids. `flight_wh` is the width and height of the flights,
+    `tilt_s` the time constant of the drone's tilt; larger and smoother ones have few versions.
+    `reference` is the folder of the authors' frames. `is_idle` says that nothing else runs, so that
     times mean something.
     """
 
@@ -51,6 +58,7 @@ class Plan:
     reference: Path | None = None
     flight_wh: tuple[int, int] = USUAL_WH
     is_idle: bool = True
+    tilt_s: float = TILT_S
 
     @property
     def name(self) -> str:
@@ -67,7 +75,7 @@ class Plan:
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seeds of what is rendered with one."""
-        return tuple(range(FEW_SEEDS if self.quick or self.is_larger else _SEEDS))
+        return tuple(range(FEW_SEEDS if self.quick else _SEEDS))
 
     @property
     def is_larger(self) -> bool:
@@ -76,21 +84,45 @@ class Plan:
 
     @property
     def versions(self) -> tuple[str, ...]:
-        """The versions of the D-LGMD to run: without the null models on larger frames."""
-        return tuple(VERSIONS) if self.is_larger else EVERY
+        """The versions of the D-LGMD to run: few on larger frames, and with smoother motion."""
+        if self.is_larger:
+            return (*FEW, NULLS[FEW[0]])
+        few = (*FEW, *dict.fromkeys(NULLS[version] for version in FEW))
+        return few if self.tilt_s > TILT_S else EVERY
 
 
-def plans_of(name: str, plan: Plan, reference: Path | None) -> list[Plan]:
-    """The plan of an exhibit, then those that are shown beside it.
+def plan_of(name: str, plan: Plan, reference: Path | None) -> Plan:
+    """The plan of an exhibit: at the paper's size, or on the authors' frames, where it has these.
 
     `reference` is the folder of the authors' frames, if it is given.
     """
-    plans = [plan]
     if name in AT_FULL_SIZE and not plan.quick:
-        plans.append(replace(plan, flight_wh=FULL_WH))
+        return replace(plan, flight_wh=FULL_WH)
     if reference is not None and name in OF_AUTHORS and (reference / OF_AUTHORS[name]).is_dir():
-        plans.append(replace(plan, reference=reference))
-    return plans[-1:] if name in ONLY_OF_AUTHORS else plans
+        return replace(plan, reference=reference)
+    return plan
+
+
+class Trial(NamedTuple):
+    """Another way to look at an exhibit: a text, a plan, and a free constant with its value."""
+
+    text: str
+    plan: Plan
+    constant: str = ""
+    value: float = 0.0
+
+
+def trials_of(name: str, plan: Plan) -> list[Trial]:
+    """What else is tried of an exhibit: other values of constants that matter, smoother motion."""
+    found = [
+        Trial(f"{value:g} {constant.meaning}".replace("-", "−"), plan, key, value)
+        for key, constant in FREE.items()
+        if name in constant.exhibits
+        for value in constant.others
+    ]
+    if name in FLOWN and not plan.quick and not plan.is_larger:
+        found.append(Trial("smoother motion", replace(plan, tilt_s=SMOOTHER_S)))
+    return found
 
 
 @dataclass(frozen=True)
@@ -122,10 +154,15 @@ Steps = Generator[Needs, Data, Evidence]
 
 
 class Started:
-    """An exhibit that has said what it `needs`."""
+    """An exhibit that has said what it `needs`, with a free constant at a value."""
 
-    def __init__(self, steps: Steps) -> None:
-        self._steps, self.needs = steps, next(steps)
+    def __init__(
+        self, exhibit: Exhibit, plan: Plan, constant: str = "", value: float = 0.0
+    ) -> None:
+        self._tried = constant, value
+        with trying(*self._tried):
+            self._steps = exhibit(plan)
+            self.needs = next(self._steps)
 
     def evidence(self, data: Data) -> Evidence:
         """What the exhibit shows once its needs are computed."""
@@ -134,7 +171,8 @@ class Started:
             if hasattr(result, "sha256"):
                 inputs.setdefault(result.clip.seed, {})[result.clip.name] = result.sha256
         try:
-            self._steps.send(data)
+            with trying(*self._tried):
+                self._steps.send(data)
         except StopIteration as end:
             return replace(end.value, inputs=inputs)
         raise RuntimeError("an exhibit yields once")
@@ -158,18 +196,22 @@ def needed(started: Iterable[Started]) -> list[Task]:
 
 
 def compute(
-    tasks: Sequence[Task], n_processes: int | None, on_result: Callable[[int, str], None]
+    tasks: Sequence[Task],
+    n_processes: int | None,
+    on_result: Callable[[int, str], None],
+    kept: Path | None = None,
 ) -> Data:
     """Compute what is needed in several processes; what is timed, alone in this one.
 
-    `on_result` is called with the number of results and the name of the last. Raises Interrupted if
-    the user asks to stop, and passes on the exceptions of a call.
+    `on_result` is called with the number of results and the name of the last. `kept` is a folder
+    for the responses to clips, from which an interrupted run goes on. Raises Interrupted if the
+    user asks to stop, and passes on the exceptions of a call.
     """
     data: dict[Key, Any] = {}
     timed = [task for task in tasks if _name(task[0]).startswith(TIMING)]
     shared = [task for task in tasks if task not in timed]
-    each = results_of(_result, shared, n_processes)
-    for (key, _), result in chain(each, results_of(_result, timed, 1)):
+    each = results_of(partial(_result, kept), shared, n_processes)
+    for (key, _), result in chain(each, results_of(partial(_result, None), timed, 1)):
         if isinstance(result, DlgmdError):
             raise result
         data[key] = result
@@ -177,9 +219,9 @@ def compute(
     return data
 
 
-def _result(task: Task) -> Any:
+def _result(kept: Path | None, task: Task) -> Any:
     key, need = task
-    return run_clip(key, need) if isinstance(key, Clip) else need()
+    return run_clip(key, need, kept) if isinstance(key, Clip) else need()
 
 
 def _name(key: Key) -> str:

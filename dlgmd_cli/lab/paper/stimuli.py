@@ -1,7 +1,7 @@
 """The exhibits with simple stimuli: geometry, kernels, looming, receding and translation."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from itertools import product
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import DLGMD, DlgmdParameters, Result, load_set, sweep
 from dlgmd_cli.lab.paper.clips import (
+    EVERY,
     NULL,
     VERSIONS,
     Clip,
@@ -21,14 +22,13 @@ from dlgmd_cli.lab.paper.clips import (
     rectified_lgmd_db,
     reference_clip,
 )
+from dlgmd_cli.lab.paper.free import FREE, frames, free
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import ANY, Data, Evidence, Plan, Steps, by_version
+from dlgmd_cli.lab.paper.plan import ANY, FEW, Data, Evidence, Plan, Steps, by_version
 from dlgmd_cli.plots.style import FLOOR_DB
 
 # K of a single cell for a change of one grey level, in luminance²: a lower peak is rounding.
 LEAST_PEAK = 1.0 / 255.0**2
-# Least response, as a share of the peak: in a figure, less cannot be told from zero.
-ONSET = 0.05
 # The LGMD, read by its own sigmoid.
 SIGMOID = "lgmd/sigmoid"
 SIZE = "480x270"
@@ -73,9 +73,9 @@ def positive(mp: Series) -> Series:
     return np.where(mp > 0.0, mp, np.nan)
 
 
-# Versions in figures with a panel each; of both codes and the text; and with few curves.
+# Versions in figures with a panel each, and with few curves.
 SHOWN = tuple(version for version in VERSIONS if not version.endswith("2021"))
-FEW, TWO = ("default", "released-2020", "equations"), ("default", "equations")
+TWO = ("default", "equations")
 
 
 def fig5(plan: Plan) -> Steps:
@@ -84,10 +84,18 @@ def fig5(plan: Plan) -> Steps:
     params = load_set(9)
     along = DLGMD(params).latency()[params.r, params.r :]
 
-    def spread(version: str) -> float:
-        """The share of the excitation off the centre, the least of sets 7 to 9."""
-        each = [DLGMD(load_set(n, **VERSIONS[version])).connections.excitation for n in (7, 8, 9)]
+    def kernels(version: str, *numbers: int) -> list[npt.NDArray[np.float64]]:
+        return [DLGMD(load_set(n, **VERSIONS[version])).connections.excitation for n in numbers]
+
+    def spread(numbers: Iterable[int], version: str) -> float:
+        """The share of the excitation off the centre, the least of some sets."""
+        each = kernels(version, *numbers)
         return min(1.0 - float(k[len(k) // 2, len(k) // 2] / k.sum()) for k in each)
+
+    def neighbours(numbers: Iterable[int], version: str) -> float:
+        """The number of neighbours with a hundredth of the excitation, the least of some sets."""
+        each = kernels(version, *numbers)
+        return min(np.count_nonzero(k >= 0.01 * k.sum()) - 1.0 for k in each)
 
     def held(number: int) -> float:
         """The share of the widest Gaussian of a set that its kernel holds."""
@@ -97,9 +105,15 @@ def fig5(plan: Plan) -> Steps:
 
     values = {
         "fig5-rises": {ANY: [float(np.diff(along).min())]},
-        "fig5-excitation": by_version(spread, VERSIONS),
+        "fig5-excitation": by_version(partial(spread, (7, 8, 9)), VERSIONS),
+        "fig5-excitation~neighbours": by_version(partial(neighbours, (7, 8, 9)), VERSIONS),
+        "fig5-set3": by_version(partial(spread, (3,)), VERSIONS),
+        "fig5-set3~neighbours": by_version(partial(neighbours, (3,)), VERSIONS),
+        # A kernel is a square: what it holds along an axis is the root.
         "fig5-kernel-r4": {ANY: [held(7)]},
+        "fig5-kernel-r4~axis": {ANY: [math.sqrt(held(7))]},
         "fig5-kernel-r6": {ANY: [held(8)]},
+        "fig5-kernel-r6~axis": {ANY: [math.sqrt(held(8))]},
     }
     panels = [_kernel_panel(version) for version in FEW]
     draw = partial(plot_panels, panels, "Distance from the centre (px)", "Strength", dots=True)
@@ -151,45 +165,44 @@ def _met(number: int, version: str, speed: int) -> dict[int, float]:
     return {d: k[r, r + speed * d] / alone[1] for d, k in kernels.items() if 0 < d * speed <= r}
 
 
-def _replicate(version: str) -> float:
-    """The share of two frames ago in the inhibition at 1 px/frame, the least of sets 4 to 9."""
+def _replicate(version: str) -> list[float]:
+    """The share of two frames ago in the inhibition at 1 px/frame, of sets 4 to 9."""
     each = [_met(number, version, 1) for number in range(4, 10)]
-    return min(met.get(2, 0.0) / (sum(met.values()) or 1.0) for met in each)
+    return [met.get(2, 0.0) / (sum(met.values()) or 1.0) for met in each]
 
 
-def _not_escaped(version: str) -> float:
-    """The inhibition at 4 px/frame by that with a latency of one frame; the most of the sets."""
-    kept = (sum(_met(n, version, 4).values()) / _met(m, version, 4)[1] for n, m in _PAIRS)
-    return float(max(kept))
+def _not_escaped(version: str) -> list[float]:
+    """The inhibition at 4 px/frame by that with a latency of one frame, of each pair of sets."""
+    return [sum(_met(n, version, 4).values()) / _met(m, version, 4)[1] for n, m in _PAIRS]
 
 
 def fig6(plan: Plan) -> Steps:
     """The attenuation of cubes by their speed, with and without radial latency."""
     data = yield {cube_clip(speed): _SETS_1_TO_6 | _LGMD for speed in SPEEDS_PX}
 
-    def preference(version: str) -> float:
-        """How much more the attenuation changes with speed than the LGMD's, the least of sets."""
+    def preference(version: str) -> list[float]:
+        """How much more the attenuation changes with speed than the LGMD's, by set."""
         labels = [*(f"set{radial}/{version}" for radial, _ in _PAIRS), "lgmd"]
         *of_sets, lgmd = (db[-1] - db[0] for db in (_cube_db(data, label) for label in labels))
-        return float(min(of_sets) - lgmd)
+        return [each - lgmd for each in of_sets]
 
     def gain(version: str) -> Series:
         """The attenuation with radial latency minus that without, by pair of sets and speed."""
         pairs = [[_cube_db(data, f"set{n}/{version}") for n in pair] for pair in _PAIRS]
         return np.array([radial - plain for radial, plain in pairs])
 
-    def alike(version: str) -> float:
+    def alike(version: str) -> list[float]:
         """The attenuation at the greatest speed minus that at the least, without radial latency."""
         each = (_cube_db(data, f"set{plain}/{version}") for _, plain in _PAIRS)
-        return float(max(db[-1] - db[0] for db in each))
+        return [db[-1] - db[0] for db in each]
 
-    def removed(version: str) -> float:
-        """The peak of K at the least speed by that at the greatest, the most of the sets."""
+    def removed(version: str) -> list[float]:
+        """The peak of K at the least speed by that at the greatest, by set."""
 
         def peak(number: int, speed: float) -> float:
             return float(np.nanmax(data[cube_clip(speed)].results[f"set{number}/{version}"].mp))
 
-        return max(peak(n, SPEEDS_PX[0]) / peak(n, SPEEDS_PX[-1]) for n, _ in _PAIRS)
+        return [peak(n, SPEEDS_PX[0]) / peak(n, SPEEDS_PX[-1]) for n, _ in _PAIRS]
 
     speeds = np.array(SPEEDS_PX)
     sets = [number for pair in _PAIRS for number in pair[::-1]]
@@ -198,15 +211,30 @@ def fig6(plan: Plan) -> Steps:
     ]
     draw = partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)
     values = {
-        "fig6-slow": by_version(lambda v: gain(v)[:, 0].max()),
-        "fig6-fast": by_version(lambda v: gain(v)[:, -1].min()),
-        "fig6-replicate": by_version(_replicate, VERSIONS),
-        "fig6-escapes": by_version(_not_escaped, VERSIONS),
-        "fig6-preference": by_version(preference),
-        "fig6-alike": by_version(alike),
-        "fig6-removed": by_version(removed),
+        **_pooled("fig6-slow", max, lambda v: gain(v)[:, 0]),
+        **_pooled("fig6-fast", min, lambda v: gain(v)[:, -1]),
+        **_pooled("fig6-replicate", min, _replicate, VERSIONS),
+        **_pooled("fig6-escapes", max, _not_escaped, VERSIONS),
+        **_pooled("fig6-preference", min, preference),
+        **_pooled("fig6-alike", max, alike),
+        **_pooled("fig6-removed", max, removed),
     }
     return Evidence(values, {"fig6": draw})
+
+
+def _pooled(
+    name: str,
+    worst: Callable[..., float],
+    of: Callable[[str], Iterable[float]],
+    versions: Iterable[str] = EVERY,
+) -> dict[str, dict[str, list[float]]]:
+    """What several sets give, as the worst of them, and as the one in the middle."""
+    pools: dict[str, Callable[..., float]] = {"": worst, "~middle": np.median}
+
+    def value(pool: Callable[..., float], version: str) -> float:
+        return float(pool([*of(version)]))
+
+    return {name + how: by_version(partial(value, pool), versions) for how, pool in pools.items()}
 
 
 _APPROACHES = {
@@ -221,43 +249,77 @@ def fig9(plan: Plan) -> Steps:
     data = yield dict.fromkeys(_APPROACHES.values(), all_versions(9) | _LGMD)
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
-    def frames(kind: str, label: str) -> npt.NDArray[np.intp]:
-        """The frames at which a level reaches `ONSET`."""
-        return np.flatnonzero(level(results[kind], label) >= ONSET)
+    def reaching(kind: str, label: str, least: float) -> npt.NDArray[np.intp]:
+        """The frames at which a level reaches a value."""
+        return np.flatnonzero(level(results[kind], label) >= least)
 
-    def silent(version: str) -> float:
-        """The share of the looming cube's clip before K exceeds `_SILENT` of its peak."""
+    def silent(least: str, version: str) -> float:
+        """The share of the looming cube's clip before K exceeds a share of its peak."""
         shown = share_of_peak(results["cube"][f"set9/{version}"])
-        return float(np.argmax(shown > _SILENT) / n_cube)
+        return float(np.argmax(shown > free(least)) / n_cube)
 
-    def bent(version: str) -> float:
-        """The mean level from the first response to the peak."""
-        shown = share_of_peak(results["cube"][f"set9/{version}"])
-        return float(shown[np.argmax(shown > _SILENT) : np.argmax(shown) + 1].mean())
+    def rise(shown: Series) -> Series:
+        """A level from the first response to the peak."""
+        return shown[np.argmax(shown > free("silent")) : np.argmax(shown) + 1]
 
-    def after(other: int, version: str) -> float:
+    def risen(version: str) -> Series:
+        return rise(share_of_peak(results["cube"][f"set9/{version}"]))
+
+    def after(other: int, least: float, version: str) -> float:
         """The first frame at which set 9 responds to the looming cube, minus another."""
-        answers = frames("cube", f"set9/{version}")
+        answers = reaching("cube", f"set9/{version}", least)
         return float((answers[0] if answers.size else n_cube) - other)
 
-    def last_active(version: str) -> float:
-        """The last frame of the receding cube at which K is above 0, as a share of the clip."""
-        active = np.flatnonzero(np.nan_to_num(results["receding"][f"set9/{version}"].mp) > 0.0)
+    def last_active(least: float, version: str) -> float:
+        """The last frame of the receding cube at which K is above a share of its peak, by all."""
+        active = np.flatnonzero(share_of_peak(results["receding"][f"set9/{version}"]) > least)
         return float(active[-1] / n_cube) if active.size else 0.0
 
     def sharper(version: str) -> float:
         return results["cube"][f"set9/{version}"].sharpness / results["cube"]["lgmd"].sharpness
 
-    n_cube = len(results["cube"]["lgmd"])
-    values = {"fig9a-silent": by_version(silent), "fig9b-rest": by_version(last_active)}
-    values |= {"fig9a-nonlinear": by_version(bent), "fig9a-frame-15": {ANY: [math.nan]}}
+    def shorter(version: str) -> float:
+        """The number of frames above half of the peak by that of the LGMD."""
+        return len(reaching("cube", f"set9/{version}", 0.5)) / len(reaching("cube", "lgmd", 0.5))
+
+    def enhances(pool: Callable[..., float], version: str) -> float:
+        """The attenuation of the last frames before contact, pooled."""
+        return float(pool(results["cube"][f"set9/{version}"].attenuation_db[-frames("ball") :]))
+
+    def weaker(pool: Callable[..., float], version: str) -> float:
+        """K of the receding cube by that of the looming one, relative to the LGMD's."""
+        receding, cube = (results[kind] for kind in ("receding", "cube"))
+        shares = [pool(receding[m].mp) / pool(cube[m].mp) for m in (f"set9/{version}", "lgmd")]
+        return float(shares[0] / shares[1])
+
+    n_cube, onset = len(results["cube"]["lgmd"]), free("onset")
+    risen_lgmd = rise(sigmoid(results["cube"]["lgmd"]))
+    values = {
+        "fig9a-silent": by_version(partial(silent, "silent")),
+        "fig9a-silent~visible": by_version(partial(silent, "onset")),
+        "fig9a-nonlinear": by_version(lambda v: float(risen(v).mean())),
+        "fig9a-nonlinear~half": by_version(lambda v: float(risen(v)[len(risen(v)) // 2])),
+        "fig9a-lgmd-nonlinear": {ANY: [float(risen_lgmd.mean())]},
+        "fig9a-lgmd-nonlinear~half": {ANY: [float(risen_lgmd[len(risen_lgmd) // 2])]},
+        "fig9a-enhances": by_version(partial(enhances, np.nanmax)),
+        "fig9a-enhances~middle": by_version(partial(enhances, np.nanmedian)),
+        "fig9b-weaker": by_version(partial(weaker, np.nanmax)),
+        "fig9b-weaker~sum": by_version(partial(weaker, np.nansum)),
+        "fig9a-frame-15": {ANY: [math.nan]},
+        "fig9b-rest": by_version(partial(last_active, 0.0)),
+        "fig9b-rest~visible": by_version(partial(last_active, onset)),
+        "fig9a-sharper": by_version(sharper),
+        "fig9a-sharper~half": by_version(shorter),
+    }
     for name, label in (("", SIGMOID), ("-raw", "lgmd")):
-        onset, end = frames("cube", label)[0], frames("receding", label)[-1]
-        values[f"fig9a-later{name}"] = by_version(partial(after, onset))
-        values[f"fig9b-lgmd{name}"] = {ANY: [end / n_cube]}
-        shown_lgmd = level(results["cube"], label)[onset:]
-        values[f"fig9a-lgmd{name}"] = {ANY: [float((np.diff(shown_lgmd) > 0.0).mean())]}
-    values["fig9a-sharper"] = by_version(sharper)
+        for how, least in (("", onset), ("~half", 0.5)):
+            first, last = reaching("cube", label, least)[0], reaching("receding", label, least)[-1]
+            values[f"fig9a-later{name}{how}"] = by_version(partial(after, first, least))
+            values[f"fig9b-lgmd{name}{how}"] = {ANY: [last / n_cube]}
+        shown_lgmd = level(results["cube"], label)[reaching("cube", label, onset)[0] :]
+        smooth = np.convolve(shown_lgmd, np.ones(3) / 3.0, "valid")
+        for how, curve in (("", shown_lgmd), ("~smooth", smooth)):
+            values[f"fig9a-lgmd{name}{how}"] = {ANY: [float((np.diff(curve) > 0.0).mean())]}
     draw = partial(plot_panels, _panels_9(results), "Time (s)", "Level", share_x=False)
     return Evidence(values, {"fig9": draw})
 
@@ -271,7 +333,7 @@ def _panels_9(results: Mapping[str, Mapping[str, Result]]) -> list[Panel]:
         curves = {
             text: (time_s, level(results[kind], label)[first:last]) for label, text in shown.items()
         }
-        return Panel(title, curves, level=ONSET)
+        return Panel(title, curves, level=FREE["onset"].value)
 
     return [
         panel("Looming cube", "cube"),
@@ -281,8 +343,8 @@ def _panels_9(results: Mapping[str, Mapping[str, Result]]) -> list[Panel]:
     ]
 
 
-# Frames in a second of the clips; the share of the peak below which a model is silent.
-_SECOND, _SILENT = 30, 1e-4
+# Frames in a second of the clips.
+_SECOND = 30
 
 
 def looming_ball(plan: Plan) -> Clip:
@@ -302,12 +364,21 @@ def fig10(plan: Plan) -> Steps:
     def db(label: str) -> Series:
         return np.maximum(results[label].attenuation_db, FLOOR_DB)[3:]
 
-    def rise(db: Series) -> float:
-        return float(np.nanmean(db[-3:]) - np.nanmean(db[:3]))
+    def rise(n: int, version: str) -> float:
+        shown = db(f"set7/{version}")
+        return float(np.nanmean(shown[-n:]) - np.nanmean(shown[:n]))
 
-    def slope(db: Series) -> float:
-        """The rise a frame over the last frames."""
-        return float((np.nanmean(db[-3:]) - np.nanmean(db[-3 - _FINAL : -_FINAL])) / _FINAL)
+    def slope(n: int, db: Series) -> float:
+        """The rise a frame over the last frames, between means of n."""
+        last = frames("final")
+        return float((np.nanmean(db[-n:]) - np.nanmean(db[-n - last : -last])) / last)
+
+    def sharper(n: int, version: str) -> float:
+        return slope(n, db(f"set7/{version}")) - slope(n, lgmds[""])
+
+    def stronger(of: Callable[..., float], version: str) -> float:
+        first = np.s_[: frames("initial")]
+        return float(of(db(f"set7/{version}")[first]) - of(lgmds[""][first]))
 
     lgmds = {"": data[rectified][3:], "-signed": db("lgmd")}
     frame = np.arange(3.0, 3.0 + len(db("lgmd")))
@@ -316,18 +387,23 @@ def fig10(plan: Plan) -> Steps:
     near = {name: curve for name, curve in curves.items() if "LGMD" in name}
     panels = [Panel("Looming ball, set 7", curves), Panel("The LGMD alone", near)]
     values = {
-        "fig10-rising": by_version(lambda v: rise(db(f"set7/{v}"))),
-        "fig10-sharper": by_version(lambda v: slope(db(f"set7/{v}")) - slope(lgmds[""])),
-        "fig10-stronger": by_version(
-            lambda v: np.nanmean(db(f"set7/{v}")[:_INITIAL]) - np.nanmean(lgmds[""][:_INITIAL])
-        ),
+        "fig10-rising": by_version(partial(rise, 3)),
+        "fig10-rising~five": by_version(partial(rise, 5)),
+        "fig10-sharper": by_version(partial(sharper, 3)),
+        "fig10-sharper~five": by_version(partial(sharper, 5)),
+        "fig10-stronger": by_version(partial(stronger, np.nanmean)),
+        "fig10-stronger~middle": by_version(partial(stronger, np.nanmedian)),
         "fig10-attenuates": by_version(lambda v: np.nanmax(db(f"set7/{v}"))),
+        "fig10-attenuates~middle": by_version(lambda v: np.nanmedian(db(f"set7/{v}"))),
+        "fig10-lgmd-moderate": {ANY: [float(np.nanmin(lgmds[""]))]},
+        "fig10-lgmd-moderate~middle": {ANY: [float(np.nanmedian(lgmds[""]))]},
     }
     for name, levels in lgmds.items():
         values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(levels))]}
-    smooth = np.convolve(lgmds[""], np.ones(3) / 3.0, "valid")
-    values["fig10-lgmd-steady"] = {ANY: [float((np.diff(smooth) > 0.0).mean())]}
-    values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
+        values[f"fig10-lgmd{name}~middle"] = {ANY: [float(np.nanmedian(levels))]}
+    for how, n in (("", 3), ("~one", 1)):
+        smooth = np.convolve(lgmds[""], np.ones(n) / n, "valid")
+        values[f"fig10-lgmd-steady{how}"] = {ANY: [float((np.diff(smooth) > 0.0).mean())]}
     draw = partial(
         plot_panels,
         panels,
@@ -339,10 +415,6 @@ def fig10(plan: Plan) -> Steps:
     return Evidence(values, {"fig10": draw})
 
 
-# Frames of the initial period, a quarter of the authors' clip; and near the collision.
-_INITIAL, _FINAL = 6, 5
-
-
 def fig12(plan: Plan) -> Steps:
     """The responses of sets 1 to 6 to a looming ball."""
     data = yield {looming_ball(plan): _SETS_1_TO_6}
@@ -351,28 +423,32 @@ def fig12(plan: Plan) -> Steps:
     def k(number: int, version: str) -> Series:
         return results[f"set{number}/{version}"].mp[3:]
 
-    def early_db(version: str) -> float:
-        """What each step of σ_I adds to the attenuation in the first half; the lesser effect."""
+    def early_db(version: str) -> Series:
+        """What each step of σ_I adds to the attenuation in the first half."""
         middle = 3 + len(k(4, version)) // 2
         db = [pooled_db(results[f"set{n}/{version}"], 3, middle - 1) for n in (4, 5, 6)]
-        return float(np.diff(np.maximum(db, FLOOR_DB)).max())
+        return np.diff(np.maximum(db, FLOOR_DB))
+
+    def control(version: str) -> list[float]:
+        return [contact(2, 1, version), contact(3, 2, version)]
 
     def contact(wide: int, narrow: int, version: str) -> float:
         return float(k(wide, version).max() / k(narrow, version).max())
 
-    def steeper(version: str) -> float:
-        """How much more a radial set grows in the frames before its peak, the worst pair."""
+    def steeper(version: str) -> list[float]:
+        """How much more a radial set grows in the frames before its peak, by pair."""
 
         def rise(number: int) -> float:
             mp = k(number, version)
             peak = int(np.argmax(mp))
-            return float(mp[peak] / mp[peak - _RISE]) if mp[peak - _RISE] else np.nan
+            earlier = mp[peak - frames("rise")]
+            return float(mp[peak] / earlier) if earlier else np.nan
 
-        return float(np.min([rise(radial) / rise(plain) for radial, plain in _PAIRS]))
+        return [rise(radial) / rise(plain) for radial, plain in _PAIRS]
 
-    def sharper(version: str) -> float:
+    def sharper(version: str) -> list[float]:
         sharpness = [results[f"set{n}/{version}"].sharpness for n in range(1, 7)]
-        return max(sharpness[radial - 1] / sharpness[plain - 1] for radial, plain in _PAIRS)
+        return [sharpness[radial - 1] / sharpness[plain - 1] for radial, plain in _PAIRS]
 
     raw, scaled = [], []
     for v in SHOWN:
@@ -383,11 +459,15 @@ def fig12(plan: Plan) -> Steps:
         near = {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in by_set.items()}
         scaled.append(Panel(v, near))
     values = {
-        "fig12a-early-radial": by_version(early_db),
+        "fig12a-early-radial": by_version(lambda v: float(early_db(v).max())),
+        "fig12a-early-radial~ends": by_version(lambda v: float(early_db(v).sum())),
         "fig12a-contact-radial": by_version(lambda v: min(contact(5, 4, v), contact(6, 5, v))),
-        "fig12a-steeper": by_version(steeper),
-        "fig12b-order": by_version(sharper),
-        "fig12b-sharper": by_version(sharper),
+        "fig12a-contact-radial~ends": by_version(partial(contact, 6, 4)),
+        "fig12a-control": by_version(lambda v: max(control(v))),
+        "fig12a-control~ends": by_version(partial(contact, 3, 1)),
+        **_pooled("fig12a-steeper", min, steeper),
+        **_pooled("fig12b-order", max, sharper),
+        **_pooled("fig12b-sharper", max, sharper),
     }
     figures = {
         "fig12a": partial(plot_panels, raw, "Frame", "Raw K", log_y=True),
@@ -396,21 +476,19 @@ def fig12(plan: Plan) -> Steps:
     return Evidence(values, figures)
 
 
-# Frames before contact in the figure of the scaled responses; and over which raw K rises.
-_NEAR, _RISE = 15, 5
-# Only 1 px/frame is suppressed if at most a tenth of its change passes, and half at other speeds.
-_SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
-
-
-# The radii of Table II, and the greatest widths of the two ranges in the codes' comments.
-_RADII, _RANGES = (4, 6), ((1.0, 4.0), (1.5, 6.0))
+# Frames before contact in the figure of the scaled responses.
+_NEAR = 15
+# The radii of Table II, and the greatest widths of the two ranges in the codes' comments. The first
+# reading decides: the source of the paper has a constant latency, in a comment.
+_RADII, _RANGES = (4, 6), ((1.5, 6.0), (1.0, 4.0))
 _CONSTANT, _RADIAL = "constant", "radial"
+Range = tuple[float, float]
 
 
 def fig11(plan: Plan) -> Steps:
     """The attenuation of cubes over the widths of excitation and inhibition.
 
-    The paper states neither latency nor radius nor ranges: each claim has a value for each.
+    The paper states neither latency nor radius nor ranges: each claim has a reading for each.
     """
     step_e, step_i, n_frames = (0.2, 0.8, 21) if plan.quick else (0.1, 0.2, None)
     x, y = f"sigma_e=0.4:1.5:{step_e}", f"sigma_i=1.6:6:{step_i}"
@@ -430,37 +508,44 @@ def fig11(plan: Plan) -> Steps:
     }
     grid = data[f"fig11, {(_CONSTANT, _RADII[0])}"].grid
 
-    def of(measure: Callable[[Series], float], version: str) -> list[float]:
-        """The values of a claim with each latency, radius and range, in the order of the rows."""
-        latency = by_latency[model(4, version).to_dict()["latency"]]
-        latencies = (NULL, NULL) if version.endswith(NULL) else (_CONSTANT, latency)
+    def of(measure: Callable[[Series], float], latency: str, r: int, top: Range, v: str) -> float:
+        """A measure of the map with a latency, a radius and a range."""
+        if latency == _RADIAL:
+            latency = by_latency[model(4, v).to_dict()["latency"]]
+        db = maps[NULL if v.endswith(NULL) else latency, r]
         sigma_e, sigma_i = np.array(grid.x.values), np.array(grid.y.values)
-        return [
-            measure(maps[latency, r][:, sigma_i <= top_i][:, :, sigma_e <= top_e])
-            for latency, r, (top_e, top_i) in product(latencies, _RADII, _RANGES)
-        ]
+        return measure(db[:, sigma_i <= top[1]][:, :, sigma_e <= top[0]])
 
     def slower(db: Series) -> float:
         """The pair of neighbouring speeds that agrees least."""
         return float((np.diff(db, axis=0) > 0.0).mean(axis=(1, 2)).min())
 
-    def alone(db: Series) -> float:
-        slow, others = db[0], db[1:]
-        return float(((slow <= _SUPPRESSED_DB) & (others >= _FREE_DB).all(axis=0)).mean())
+    def cut(db: Series, n: int) -> float:
+        """The share of the map on which the first n speeds are suppressed, and no other."""
+        slow, fast = db[:n] <= free("suppressed"), db[n:] >= free("free")
+        return float((slow.all(axis=0) & fast.all(axis=0)).mean())
+
+    def tuned(db: Series) -> float:
+        """The number of speeds between which some point of the map cuts."""
+        return float(sum(cut(db, n) > 0.0 for n in range(1, len(db))))
 
     measures: dict[str, Callable[[Series], float]] = {
         "fig11-speed": slower,
         "fig11-sigma-i": lambda db: float((np.diff(db[2:], axis=1) < 0.0).mean()),
         "fig11-sigma-e": lambda db: float((np.diff(db[2:], axis=2) > 0.0).mean()),
-        "fig11-alone": alone,
+        "fig11-alone": partial(cut, n=1),
+        "fig11-tuned": tuned,
+        "fig11-much": lambda db: float(np.median(db[0] - db[-1])),
     }
-    values = {key: by_version(partial(of, measure)) for key, measure in measures.items()}
-    header = ("version", "latency", "r", "σ_E to", "σ_I to", "slower more", "σ_I", "σ_E", "1 alone")
-    rows: list[tuple[Value, ...]] = [header]
-    for v in FEW:
-        each = zip(*(values[key][v] for key in measures), strict=True)
-        places = product((_CONSTANT, _RADIAL), map(str, _RADII), _RANGES)
-        rows += [(v, t, r, *top, *values) for (t, r, top), values in zip(places, each, strict=True)]
+    values: dict[str, dict[str, list[float]]] = {}
+    rows: list[tuple[Value, ...]] = [("version", "latency", "r", "σ_E to", "σ_I to", *measures)]
+    for latency, r, top in product((_CONSTANT, _RADIAL), _RADII, _RANGES):
+        reading = f"~{latency}-r{r}-{top[0]:g}"
+        for key, measure in measures.items():
+            values[key + reading] = by_version(partial(of, measure, latency, r, top))
+            values.setdefault(key, values[key + reading])
+        each = [[values[key + reading][v][0] for key in measures] for v in FEW]
+        rows += [(v, latency, str(r), *top, *row) for v, row in zip(FEW, each, strict=True)]
     shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
     drawn = {n: partial(data[f"fig11, {at}"].plot, width="two") for n, at in shown.items()}
     return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})

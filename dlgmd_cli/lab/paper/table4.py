@@ -3,11 +3,11 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from statistics import median
 from typing import Any, ClassVar
@@ -38,10 +38,12 @@ from dlgmd_cli.lab.paper.clips import (
     Value,
     model,
 )
-from dlgmd_cli.lab.paper.flights import APPROACH_FRAMES, T_MP, clips_of, phase, ratio
+from dlgmd_cli.lab.paper.flights import T_MP, clips_of, db_in, phase, ratio
+from dlgmd_cli.lab.paper.free import frames
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import FULL_WH, TIMING, Evidence, Plan, Steps, by_version
-from dlgmd_cli.lab.paper.stimuli import sigmoid
+from dlgmd_cli.lab.paper.plan import ANY, FULL_WH, TIMING, Evidence, Plan, Steps, by_version
+from dlgmd_cli.lab.paper.stimuli import SPEEDS_PX, cube_clip, pooled_db, sigmoid
+from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.video.writer import write_video
 
 # The scale that the paper finds best, and the least that it calls satisfactory.
@@ -54,15 +56,16 @@ SUFFICIENT = 10.0
 _INFINITE, _ZERO = 1e6, 1e-2
 
 
-def false_positive(flight: ClipResults) -> int:
+def false_positive(flight: ClipResults, *, highest: bool = False) -> int:
     """The frame of the LGMD's first false peak: the first that reaches T_MP before the approach.
 
-    If none does, the frame of its highest level there.
+    If none does, or with `highest`, the frame of its highest level there.
     """
-    first, end = phase(flight, "pitch")[0], flight.collision_frame - APPROACH_FRAMES
+    first, end = phase(flight, "pitch")[0], flight.collision_frame - frames("approach")
     shown = sigmoid(flight.results["lgmd"])[first - 1 : end]
     is_peak = (shown[1:-1] >= shown[:-2]) & (shown[1:-1] >= shown[2:]) & (shown[1:-1] >= T_MP)
-    return int(first + (np.argmax(is_peak) if is_peak.any() else np.argmax(shown[1:-1])))
+    is_first = is_peak.any() and not highest
+    return int(first + (np.argmax(is_peak) if is_first else np.argmax(shown[1:-1])))
 
 
 def _point(radius: int, scale: float, version: str) -> str:
@@ -86,43 +89,65 @@ def table4_da(plan: Plan) -> Steps:
     clips: list[Clip] = clips_of(plan, 1)
     data = yield dict.fromkeys(clips, _models(plan, scales))
 
-    def table_of(flight: ClipResults, version: str) -> Series:
+    def table_of(flight: ClipResults, version: str, *, highest: bool) -> Series:
         """DA by radius (rows) and scale."""
-        frame = false_positive(flight)
+        frame = false_positive(flight, highest=highest)
         results = [[flight.results[_point(r, x, version)] for x in scales] for r in RADII]
         return np.array([[da(result, frame) for result in row] for row in results])
 
-    tables = {v: [table_of(data[clip], v) for clip in clips] for v in plan.versions}
+    def tables_of(*, highest: bool) -> dict[str, list[Series]]:
+        """The table of each flight, by version."""
+        flown = [data[clip] for clip in clips]
+        return {v: [table_of(one, v, highest=highest) for one in flown] for v in plan.versions}
+
     paper = np.array([[PAPER_DA[r, x] for x in scales] for r in RADII])
+    best, least = scales.index(BEST_SCALE), scales.index(LEAST_SCALE)
+    measures: dict[str, Callable[[Series], Any]] = {
+        "above-1": np.min,
+        "above-1~middle": np.median,
+        "above-10": lambda table: np.min(table[:, best]),
+        "above-10~middle": lambda table: np.median(table[:, best]),
+        "small": lambda table: np.min(table[:, least]),
+        "small~middle": lambda table: np.median(table[:, least]),
+        "rising": _rising,
+        "apart": partial(_apart, paper=paper),
+    }
+    if scales == SCALES:
+        measures |= {
+            "best": partial(_best, place=best),
+            "smaller": partial(_smaller, last=best),
+            "reduced": _reduced,
+            "turns": partial(_turning, last=least),
+            "r2": lambda table: table[RADII.index(2), 0],
+            "r2-only": _others_insufficient,
+        }
+    tables, values = tables_of(highest=False), {}
+    for how, by in (("", tables), ("~highest", tables_of(highest=True))):
+        for name, measure in measures.items():
+            if "~" not in name or not how:
+                each = {v: [float(measure(table)) for table in by[v]] for v in plan.versions}
+                values[f"table4-da-{name}{how}"] = each
 
-    def of(measure: Callable[[Series], float]) -> dict[str, list[float]]:
-        return by_version(lambda v: [float(measure(table)) for table in tables[v]], plan.versions)
-
-    def better(place: int, version: str) -> list[float]:
-        """The least DA at a scale by that of the LGMD in the same flight."""
+    def better(of: Callable[..., Any], version: str) -> list[float]:
+        """DA at the best scale by that of the LGMD in the same flight."""
         flown = (data[clip] for clip in clips)
         lgmds = [da(flight.results[SMALL_LGMD], false_positive(flight)) for flight in flown]
         pairs = zip(tables[version], lgmds, strict=True)
-        return [_ratio(table[:, place].min(), lgmd) for table, lgmd in pairs]
+        return [_ratio(of(table[:, best]), lgmd) for table, lgmd in pairs]
 
-    best = scales.index(BEST_SCALE)
-    values = {
-        "table4-da-above-1": of(np.min),
-        "table4-da-above-10": of(lambda table: np.min(table[:, best])),
-        "table4-da-small": of(lambda table: np.min(table[:, scales.index(LEAST_SCALE)])),
-        "table4-da-lgmd": by_version(partial(better, best), plan.versions),
-        "table4-da-rising": of(_rising),
-        "table4-da-apart": of(partial(_apart, paper=paper)),
-    }
+    def barrier(scale: float, version: str) -> list[float]:
+        """The attenuation in the pitch at a smaller scale minus that at full scale, at r = 4."""
+        labels = [_point(4, x, version) for x in (scale, 1.0)]
+        flown = (data[clip] for clip in clips)
+        each = ([db_in(flight, label, "pitch") for label in labels] for flight in flown)
+        return [small - whole for small, whole in each]
+
     if scales == SCALES:
-        values |= {
-            "table4-da-best": of(partial(_best, place=best)),
-            "table4-da-smaller": of(partial(_smaller, last=best)),
-            "table4-da-reduced": of(_reduced),
-            "table4-da-turns": of(partial(_turning, last=scales.index(LEAST_SCALE))),
-            "table4-da-r2": of(lambda table: table[RADII.index(2), 0]),
-            "table4-da-r2-only": of(_others_insufficient),
-        }
+        for how, scale in (("", BEST_SCALE), ("~half", 0.5)):
+            of_scale = by_version(partial(barrier, scale), plan.versions)
+            values[f"table4-da-barrier{how}"] = of_scale
+    values["table4-da-lgmd"] = by_version(partial(better, np.min), plan.versions)
+    values["table4-da-lgmd~middle"] = by_version(partial(better, np.median), plan.versions)
 
     def panel(title: str, table: Series) -> Panel:
         shown = np.clip(table, _ZERO, _INFINITE)
@@ -130,9 +155,10 @@ def table4_da(plan: Plan) -> Steps:
         return Panel(title, curves, level=1.0)
 
     middle = {v: np.median(tables[v], axis=0) for v in plan.versions}
-    panels = [panel("the paper", paper), *(panel(v, middle[v]) for v in VERSIONS)]
+    shown = [v for v in VERSIONS if v in middle]
+    panels = [panel("the paper", paper), *(panel(v, middle[v]) for v in shown)]
     draw = partial(plot_panels, panels, "Scale", "DA", dots=True, log_x=True, log_y=True)
-    names = [v for v in (*VERSIONS, NULLS["default"]) if v in middle]
+    names = [v for v in (*shown, NULLS["default"]) if v in middle]
     rows: list[tuple[Value, ...]] = [("r", "scale", "paper", *names)]
     rows += [
         (r, x, shownda(paper[row, column]), *(float(middle[v][row, column]) for v in names))
@@ -271,12 +297,17 @@ def table4_time(plan: Plan) -> Steps:
     rows: list[tuple[Value, ...]] = [("r", "scale", "paper, s", *header)]
     for at in timed[_TIMED[0]]:
         rows.append((*at, PAPER_S[at], *(value for v in _TIMED for value in timed[v][at])))
-    values = {
-        "table4-time-r": judged(partial(_costs_more, by=0), 0),
-        "table4-time-size": judged(partial(_costs_more, by=1), 0),
-        "table4-time-order-r": judged(partial(_exponent, by=0), 1),
-        "table4-time-order-size": judged(partial(_exponent, by=1), 1),
-    }
+    measures: dict[str, tuple[Callable[..., float], int]] = {
+        "r": (_costs_more, 0), "size": (_costs_more, 0),
+        "order-r": (_exponent, 1), "order-size": (_exponent, 1),
+    }  # fmt: skip
+    values = {}
+    for name, (measure, part) in measures.items():
+        of = partial(measure, by=int(name.endswith("size")))
+        other = "~alone" if part == 0 else "~whole"
+        values[f"table4-time-{name}"] = judged(of, part)
+        values[f"table4-time-{name}{other}"] = judged(of, 1 - part)
+    values["table4-time-convolutions"] = {ANY: [math.nan]}
     title = "Seconds for 120 frames: the paper's on a Core i5 of 2.5 GHz, ours on this machine"
     return Evidence(values, tables={title: rows})
 
@@ -306,7 +337,8 @@ def _costs_more(seconds: Seconds, by: int) -> float:
 # A version as it is, with a latency of one frame everywhere as in sets 1 to 3, and with the
 # excitation of the cell alone, which is the limit of a narrow σ_E at the same strength.
 OWN, CONSTANT, CELL = PARTS = ("as it is", "constant latency", "excitation of the cell alone")
-SETS = (4, 5, 6, 7, 8, 9)
+# `WIDE` are the sets that distribute excitation: the paper says that a σ_E of 0.35 rarely does.
+SETS, WIDE = (4, 5, 6, 7, 8, 9), (7, 8, 9)
 SHOWN = ("default", "whole-unlimited", "released-2020", "equations")
 
 
@@ -346,28 +378,70 @@ def label_of(number: int, version: str, part: str) -> str:
 
 def ablation(plan: Plan) -> Steps:
     """The distinguishability of sets 4 to 9 on group 1 with each part replaced."""
-    clips = clips_of(plan, 1)
-    cells = [(n, version, part) for n in SETS for version in VERSIONS for part in PARTS]
+    clips, versions = clips_of(plan, 1), [v for v in VERSIONS if v in plan.versions]
+    cells = [(n, version, part) for n in SETS for version in versions for part in PARTS]
     models: Models = {label_of(*cell): parameters_of(*cell) for cell in cells}
-    data = yield dict.fromkeys(clips, models | {"lgmd": "lgmd"})
+    own_and_cell = {
+        label_of(n, version, part): parameters_of(n, version, part)
+        for n, version, part in product(WIDE, versions, (OWN, CELL))
+    }
+    cubes = cube_clip(SPEEDS_PX[0]), cube_clip(SPEEDS_PX[-1])
+    data = yield {
+        **dict.fromkeys(clips, models | {"lgmd": "lgmd"}),
+        **dict.fromkeys(cubes, own_and_cell),
+    }
     flown = [data[clip] for clip in clips]
-    frames = [false_positive(flight) for flight in flown]
+    false = {how: [false_positive(f, highest=how) for f in flown] for how in (False, True)}
 
-    def das(number: int, version: str, part: str = OWN) -> Series:
+    def das(number: int, version: str, part: str = OWN, *, highest: bool = False) -> Series:
         """DA of each flight."""
         results = (flight.results[label_of(number, version, part)] for flight in flown)
-        return np.array([da(result, frame) for result, frame in zip(results, frames, strict=True)])
+        pairs = zip(results, false[highest], strict=True)
+        return np.array([da(result, frame) for result, frame in pairs])
 
-    def gain(part: str, version: str) -> list[float]:
-        return _medians([ratio(das(n, version), das(n, version, part)) for n in SETS])
+    def filtered(number: int, version: str, part: str = OWN) -> Series:
+        """The attenuation at contact minus that in the pitch, of each flight, in dB."""
+        label = label_of(number, version, part)
+        rises = [db_in(f, label, "contact") - db_in(f, label, "pitch") for f in flown]
+        return np.array(rises)
+
+    def gain(sets: Sequence[int], part: str, version: str, *, highest: bool = False) -> list[float]:
+        """The factor of DA that a part brings, over some sets."""
+        das_of = partial(das, highest=highest)
+        return _medians([ratio(das_of(n, version), das_of(n, version, part)) for n in sets])
+
+    def sharper(part: str, version: str) -> list[float]:
+        """What a part adds to the attenuation's rise from the pitch to contact, over the sets."""
+        return _medians([filtered(n, version) - filtered(n, version, part) for n in SETS])
+
+    def preferred(pool: Callable[..., float], version: str) -> float:
+        """What the neighbours' excitation adds to the attenuation of fast motion, beyond slow."""
+
+        def gain(n: int, cube: Clip) -> float:
+            labels = [label_of(n, version, part) for part in (OWN, CELL)]
+            own, cell = (max(pooled_db(data[cube].results[x]), FLOOR_DB) for x in labels)
+            return own - cell
+
+        gains = [gain(n, cubes[1]) - gain(n, cubes[0]) for n in WIDE]
+        return float(pool(gains))
 
     values = {
-        "ablation-latency": by_version(partial(gain, CONSTANT), VERSIONS),
-        "ablation-spread": by_version(partial(gain, CELL), VERSIONS),
+        "ablation-preferred": by_version(partial(preferred, min), versions),
+        "ablation-preferred~middle": by_version(partial(preferred, np.median), versions),
     }
+    for name, part in (("latency", CONSTANT), ("spread", CELL)):
+        measures = {
+            "": partial(gain, SETS, part),
+            "~wide": partial(gain, WIDE, part),
+            "~highest": partial(gain, SETS, part, highest=True),
+            "~filter": partial(sharper, part),
+        }
+        for how, measure in measures.items():
+            values[f"ablation-{name}{how}"] = by_version(measure, versions)
+    shown = [version for version in SHOWN if version in versions]
     rows: list[tuple[Value, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
-    rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in SHOWN for n in SETS]
-    draw = partial(plot_panels, _panels(das), "Set", "DA", dots=True, log_y=True)
+    rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in shown for n in SETS]
+    draw = partial(plot_panels, _panels(das, shown), "Set", "DA", dots=True, log_y=True)
     title = "DA on group 1, median over seeds (95 % interval)"
     return Evidence(values, {"ablation": draw}, {title: rows})
 
@@ -384,11 +458,11 @@ def _shown(values: Series) -> str:
     return middle if ends == [middle, middle] else f"{middle} ({'–'.join(ends)})"
 
 
-def _panels(das: Callable[..., Series]) -> list[Panel]:
+def _panels(das: Callable[..., Series], shown: Iterable[str]) -> list[Panel]:
     """DA by set in some versions."""
     sets = np.array(SETS, np.float64)
     panels = []
-    for version in SHOWN:
+    for version in shown:
         curves, bars = {}, {}
         for part in PARTS:
             each = [das(number, version, part) for number in SETS]
