@@ -538,14 +538,11 @@ def fig11(plan: Plan) -> Steps:
         "fig11-much": lambda db: float(np.median(db[0] - db[-1])),
     }
     values: dict[str, dict[str, list[float]]] = {}
-    rows: list[tuple[Value, ...]] = [("version", "latency", "r", "σ_E to", "σ_I to", *measures)]
     for latency, r, top in product((_CONSTANT, _RADIAL), _RADII, _RANGES):
         reading = f"~{latency}-r{r}-{top[0]:g}"
         for key, measure in measures.items():
             values[key + reading] = by_version(partial(of, measure, latency, r, top))
             values.setdefault(key, values[key + reading])
-        each = [[values[key + reading][v][0] for key in measures] for v in FEW]
-        rows += [(v, latency, str(r), *top, *row) for v, row in zip(FEW, each, strict=True)]
     shown = {"fig11": (_CONSTANT, _RADII[0]), "fig11-radial": ("equations", _RADII[1])}
     drawn = {n: partial(data[f"fig11, {at}"].plot, width="two") for n, at in shown.items()}
-    return Evidence(values, drawn, {"Shares of the map, by what the paper leaves open": rows})
+    return Evidence(values, drawn)
