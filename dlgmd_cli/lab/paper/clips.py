@@ -162,16 +162,10 @@ def run_clip(clip: Clip, models: Models, kept: Path | None = None) -> ClipResult
                 results[key] = answer.until(shown.collision_frame)
         digest = hashlib.sha256(shown.frames.tobytes()).hexdigest()
         known = ClipResults(clip, results, shown.phases, digest)
-        if path:
-            keep(path, known)
+        if path:  # an interruption leaves the earlier file, or the whole new one
+            path.with_suffix(".part").write_bytes(pickle.dumps(known))
+            path.with_suffix(".part").replace(path)
     return replace(known, results={label: results[key] for label, key in keys.items()})
-
-
-def keep(path: Path, value: Any) -> None:
-    """Write a value so that an interruption leaves the earlier file, or the whole new one."""
-    unfinished = path.with_suffix(".part")
-    unfinished.write_bytes(pickle.dumps(value))
-    unfinished.replace(path)
 
 
 def _digest(value: Any) -> str:

@@ -157,14 +157,9 @@ def _object_db(objects: ObjectSums, label: str) -> Series:
     return _decibels(p, s)
 
 
-def _median_shares(objects: ObjectSums, label: str) -> Series:
-    """Medians of `shares_in` over the frames."""
-    return np.asarray(np.nanmedian(objects.shares[label], axis=0))
-
-
-def _mean_shares(objects: ObjectSums, label: str) -> Series:
-    """Means of `shares_in` over the frames."""
-    return np.asarray(np.nanmean(objects.shares[label], axis=0))
+def _shares(pool: Callable[..., Series], objects: ObjectSums, label: str) -> Series:
+    """The `shares_in` of the frames, pooled."""
+    return np.asarray(pool(objects.shares[label], axis=0))
 
 
 # What a claim measures, and of which series.
@@ -175,7 +170,7 @@ _MEASURES: dict[str, _Measure] = {
     "ball": (lambda db: db[0] - db[1:].max(), _object_db),
     "ball~middle": (lambda db: db[0] - float(np.median(db[1:])), _object_db),
 }
-for _how, _of in (("", _median_shares), ("~mean", _mean_shares)):
+for _how, _of in (("", partial(_shares, np.nanmedian)), ("~mean", partial(_shares, np.nanmean))):
     _MEASURES |= {
         f"polarised{_how}": (lambda shares: shares[1] / shares[0], _of),
         f"sparse{_how}": (lambda shares: shares[2] - shares[3], _of),

@@ -3,7 +3,7 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,7 +41,7 @@ from dlgmd_cli.lab.paper.clips import (
 from dlgmd_cli.lab.paper.flights import T_MP, clips_of, db_in, phase, ratio
 from dlgmd_cli.lab.paper.free import frames
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
-from dlgmd_cli.lab.paper.plan import ANY, FULL_WH, TIMING, Evidence, Plan, Steps, by_version
+from dlgmd_cli.lab.paper.plan import ANY, FEW, FULL_WH, TIMING, Evidence, Plan, Steps, by_version
 from dlgmd_cli.lab.paper.stimuli import SPEEDS_PX, cube_clip, pooled_db, sigmoid
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.video.writer import write_video
@@ -311,9 +311,7 @@ def table4_time(plan: Plan) -> Steps:
         values[f"table4-time-{name}"] = judged(of, part)
         values[f"table4-time-{name}{other}"] = judged(of, 1 - part)
     values["table4-time-convolutions"] = {ANY: [math.nan]}
-    title = (
-        "Seconds for 120 frames, and their ratio to the last row: the paper's, and ours"
-    )
+    title = "Seconds for 120 frames, and their ratio to the last row: the paper's, and ours"
     return Evidence(values, tables={title: rows})
 
 
@@ -344,7 +342,6 @@ def _costs_more(seconds: Seconds, by: int) -> float:
 OWN, CONSTANT, CELL = PARTS = ("as it is", "constant latency", "excitation of the cell alone")
 # `WIDE` are the sets that distribute excitation: the paper says that a σ_E of 0.35 rarely does.
 SETS, WIDE = (4, 5, 6, 7, 8, 9), (7, 8, 9)
-SHOWN = ("default", "whole-unlimited", "released-2020", "equations")
 
 
 @dataclass(frozen=True)
@@ -443,10 +440,9 @@ def ablation(plan: Plan) -> Steps:
         }
         for how, measure in measures.items():
             values[f"ablation-{name}{how}"] = by_version(measure, versions)
-    shown = [version for version in SHOWN if version in versions]
     rows: list[tuple[Value, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
-    rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in shown for n in SETS]
-    draw = partial(plot_panels, _panels(das, shown), "Set", "DA", dots=True, log_y=True)
+    rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in FEW for n in SETS]
+    draw = partial(plot_panels, _panels(das), "Set", "DA", dots=True, log_y=True)
     title = "DA on group 1, median over seeds (95 % interval)"
     return Evidence(values, {"ablation": draw}, {title: rows})
 
@@ -463,11 +459,11 @@ def _shown(values: Series) -> str:
     return middle if ends == [middle, middle] else f"{middle} ({'–'.join(ends)})"
 
 
-def _panels(das: Callable[..., Series], shown: Iterable[str]) -> list[Panel]:
+def _panels(das: Callable[..., Series]) -> list[Panel]:
     """DA by set in some versions."""
     sets = np.array(SETS, np.float64)
     panels = []
-    for version in shown:
+    for version in FEW:
         curves, bars = {}, {}
         for part in PARTS:
             each = [das(number, version, part) for number in SETS]
