@@ -297,14 +297,16 @@ def _mark_beyond(
                 f(t.result.time_s[i] for t, _ in shown) for f, i in ((min, 0), (max, -1))
             )
             start_s, width_s = max(every, key=lambda bar: bar[1])
-            # Beside the bar, above the axes, where no curve runs, or at their foot.
+            # Beside the bar, above or below the axes, where no curve runs.
             is_left = start_s < first_s + _WORDS_SHARE * (last_s - first_s)
             at_s, ha, aside = (start_s + width_s, "left", 2) if is_left else (start_s, "right", -2)
-            y = 0.999 if is_high else 0.001
-            words = axes.annotate(text, (at_s, y), (aside, 1), across, annotation_clip=True)
-            words.set(anncoords="offset points", ha=ha, va="bottom")
-            words.set(color=style.GREY, fontsize=style.points(6.5), bbox=style.GROUND)
-            words.set(in_layout=False, zorder=3)
+            y, up, va = (0.999, 1.0, "bottom") if is_high else (0.001, -4.3, "baseline")
+            apart = aside, style.points(up)
+            words = axes.annotate(text, (at_s, y), apart, across, annotation_clip=True)
+            words.set(anncoords="offset points", ha=ha, va=va)
+            words.set(color=style.GREY, fontsize=style.points(6.5), in_layout=False, zorder=3)
+            if is_high:  # below are the ticks, which a ground would hide
+                words.set_bbox(style.GROUND)
 
 
 def _draw_thresholds(
@@ -411,7 +413,7 @@ def _draw_signal(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Ent
     texts = {r.threshold: f"{style.plain(r.name.rpartition(':')[2])}: {r.line_text}" for r in rules}
     lows, highs = zip(*(signal_limits(trace.result) for trace in own), strict=True)
     limits = scale.limits or (min(lows), max(highs))
-    axes.set_ylim(limits)
+    _mark_beyond(axes, [(trace, trace.result.signal) for trace in own], limits)
     axes.set_ylabel(
         " or ".join(sorted({SIGNAL_NAMES.get(rule.column, "Signal") for rule in rules}))
     )

@@ -15,7 +15,7 @@ from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.results.tradeoff import Curve
 
-_HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
+_HEIGHT_IN, _PANEL_IN, _AROUND_IN, _LINE_IN = 2.2, 1.15, 0.3, 0.12
 # Number of panels side by side if each label has its own panel, by the width in columns.
 _PER_ROW = {"one": 2, "two": 4}
 # Rates per minute: the axis is linear up to 1, and beyond it logarithmic if rates exceed 10.
@@ -143,7 +143,9 @@ def _draw(
     is_split = len(lines) > together
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1
-    figure = style.new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
+    titles = [style.wrapped(label, style.longest_label() // 2) for label in lines]
+    panel_in = _PANEL_IN + _LINE_IN * max(title.count("\n") for title in titles)
+    figure = style.new_figure(n_rows * panel_in + _AROUND_IN if is_split else _HEIGHT_IN, width)
     grid = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
     grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 stays visible
     figure.supxlabel(names[0])
@@ -158,8 +160,7 @@ def _draw(
         axes = panels[place if is_split else 0]
         color, dashes = LOOKS[0 if is_split else place]
         if is_split:
-            title = style.plain(label, 30 if style.text_scale() <= 1.25 else 16)
-            axes.set_title(title, loc="left", pad=2, fontsize=style.points(7))
+            axes.set_title(titles[place], loc="left", pad=2, fontsize=style.points(7))
             for other in lines.values():
                 axes.plot(*other, **_OTHERS)
         (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")

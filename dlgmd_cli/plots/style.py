@@ -1,6 +1,7 @@
 """The style of all figures: readable in a two-column paper, and for the colour-blind."""
 
 import math
+import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -191,7 +192,7 @@ def add_legend(figure: Figure, entries: Entries, place: Outside = "outside upper
     by_label: dict[str, Any] = {}
     for handle, label in entries:
         by_label.setdefault(label, handle)
-    handles, labels, height_in = list(by_label.values()), [plain(label) for label in by_label], 0.0
+    handles, labels, height_in = list(by_label.values()), [*map(wrapped, by_label)], 0.0
     for n_columns in range(min(len(labels), _MAX_COLUMNS), 0, -1):
         legend = figure.legend(handles, labels, ncols=n_columns, loc=place)
         size = legend.get_window_extent()
@@ -217,6 +218,12 @@ def plain(text: str, longest: int = _MAX_LABEL) -> str:
     if len(text) > longest:
         text = f"{text[: longest // 2]}…{text[len(text) - (longest - 1) // 2 :]}"
     return text.replace("$", r"\$")
+
+
+def wrapped(text: str, longest: int = _MAX_LABEL) -> str:
+    """`text` on as many lines as it needs, each as `plain` makes it."""
+    lines = textwrap.wrap(printable(text), longest, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(plain(line, longest) for line in lines)
 
 
 def write_centred(axes: Axes, x: float, y: float, text: str, **options: Any) -> Text:

@@ -273,7 +273,9 @@ def _finish(figure: style.Figure, layout: _Layout, entries: style.Entries) -> No
 
 
 def _join(grid: npt.NDArray) -> None:
-    """Leave out the lines between panels: only the lowest row keeps its time axis."""
+    """Leave out what divides the panels: only the lowest row keeps its time axis."""
+    for axes in grid[1:].flat:
+        axes.patch.set_visible(False)  # it would hide words below the panel above
     for axes in grid[:-1].flat:
         axes.spines["bottom"].set_visible(False)
         axes.tick_params(axis="x", bottom=False)

@@ -175,6 +175,13 @@ def test_figures_of_an_evaluation():
         assert close(share, [(own >= left).mean() for left in left_s])  # a late alarm is none
         assert left_s[0] == 0.0 and left_s[-1] > 2.0
     assert figure.axes[0].get_xlim() == pytest.approx((2.1, 0.0))
+    labels = [f"set{k} ttc_alarm=0.5 alarm=ttc, default threshold" for k in range(5)]
+    few, many = (leads(dict.fromkeys(labels[:n], lead_s["one"])) for n in (4, 5))
+    many.draw_without_rendering()
+    titles = [(axes._left_title, axes) for axes in many.axes[:5]]
+    assert all(t.get_window_extent().x1 <= axes.bbox.x1 + 1 for t, axes in titles)
+    for names in (legend(few), [title.get_text() for title, _ in titles]):
+        assert [name.replace("\n", " ") for name in names] == labels[: len(names)]
     rate, recall = np.array([4.0, 1.0, 0.0]), np.array([0.9, 0.6, 0.2])
     lines = {
         name: Curve(np.arange(3.0), recall - off, recall - off - 0.1, recall - off + 0.1, rate)
@@ -409,5 +416,13 @@ def test_the_charts_of_live_are_the_signal_and_what_was_measured(browser, rule, 
     thin = [[column, 0.6]] if column != "signal" else []
     assert own == [[held(rule).rule.line_text, 0], *thin, ["signal", 1.8]]
     assert [name for name, _, width in found if width == 0] == [f"chart-{column}"]
+    words = """(() => { const found = [], kept = chart;
+        chart = (...all) => { const plot = kept(...all), {top, bottom} = plot;
+            plot.pen.fillText = (text, x, y) => found.push([text, y < top || y > bottom]);
+            return plot; };
+        rows = [{...rows[0], ttc_s: 99, expansion: -3}, {...rows[0], time_s: 0.1}];
+        drawCharts(); return found; })()"""
+    beyond = [one for one in page.evaluate(words) if one[0][0] in "<>"]
+    assert sorted(beyond) == [["< −1", True], ["> 1.9", True]]
     assert page.is_visible("[data-column=signal]") == (column == "signal")
     assert page.text_content("#expansion") == ("0.70/s" if rule == "expansion" else "2.00/s")

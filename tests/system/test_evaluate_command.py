@@ -11,7 +11,7 @@ from conftest import csv_rows, judged_anew, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import read_result
-from dlgmd_cli.errors import ResultError
+from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.models.stopping import BRAKES
 from dlgmd_cli.results.labels import (
     Case,
@@ -433,11 +433,11 @@ def test_the_times_of_contacts_and_approaches(footage):
 def test_kinds_and_manners_have_rows_of_their_own(runs, footage):
     labels = footage / "kinds.csv"
     labels.write_text(
-        "video,collision_frame,kind,manner\nnear.avi,20,rendered,\ntwice.avi,52,real,walk\n"
-        "still.avi,,rendered,\n"
+        "video,collision_frame,kind,manner\nnear.avi,20,rendered,\ntwice.avi,20,real,walk\n"
+        "twice.avi,52,real,walk\nstill.avi,,rendered,\n"
     )
     more = ("--max-false-per-min", 0, "--no-baselines")
-    result = runs("evaluate", labels, *SETS[2:], *more, "--out", "ev")
+    result = runs("evaluate", labels, *SETS[2:], *more, "--out", "ev", plots=True)
     rows = csv_rows("ev/evaluate.csv")
     by_kind = {(r["at"], r["kind"]): r for r in rows if r["manner"] == "all"}
     assert [by_kind["default", kind]["videos"] for kind in ("all", "real", "rendered")] == [*"312"]
@@ -446,9 +446,14 @@ def test_kinds_and_manners_have_rows_of_their_own(runs, footage):
     assert {row["kind"] for row in csv_rows("ev/curves.csv")} == {"all", "real", "rendered"}
     assert recorded()["max_false_per_min"] == 0
     assert " rendered " in result.stdout and "By manner, announced" in result.stdout
-    assert "trade-off" not in result.stdout  # two contacts
+    assert "Not drawn: recall over false alarms needs 10 contacts." in result.stdout.splitlines()
+    assert "trade-off" not in result.stdout  # three contacts
     figure = dlgmd_cli.evaluate(labels, 9, jobs=1, baselines=False).plot("trade-off")
-    assert any(axes.get_title(loc="left").endswith(", rendered") for axes in figure.axes)
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "set9, real" in names and "set9, rendered" not in names  # of one contact
+    labels.write_text("video,collision_frame\nnear.avi,20\n")
+    with pytest.raises(ParameterError, match="needs 2 contacts"):
+        dlgmd_cli.evaluate(labels, 9, jobs=1, baselines=False).plot("trade-off")
 
 
 def test_the_rule_ttc_is_scored_by_the_time_to_contact(runs, footage):

@@ -417,5 +417,10 @@ def test_a_page_shows_every_extreme_of_its_table(browser, tmp_path):
                 assert extreme(part) == pytest.approx(extreme(of_table), abs=10.0**-digits)
     expansion, ttc = drawn[1:3]
     assert (min(expansion["y"]), max(expansion["y"])) == (-1, 2.6)
+    bars, words = reader.page.evaluate("""['shapes', 'annotations'].map(
+        part => plot.layout[part].filter(one => one.yref === 'y4 domain'))""")
+    assert [(one["text"], one["y"]) for one in words] == [("> 2.6", 1), ("< −1", 0)]
+    low = [float(part.split(",")[0]) for part in bars[1]["path"].split("M")[1:]]
+    assert low == pytest.approx((np.flatnonzero(columns["expansion"] < -1) - 0.5) / 30)
     lone = [y for y, size in zip(ttc["y"], ttc["marker"]["size"], strict=True) if size]
     assert lone == [0.02] and reader.faults == []

@@ -42,6 +42,14 @@ def test_what_lies_beyond_an_axis_has_a_bar_at_its_end():
     assert written(axes.figure)[-1] == f"> {high:.2g}"
     result.rows["ttc_s"] = 0.5
     assert not any(text.startswith(">") for text in written(result.plot("ttc")))
+    result = approach("expansion")
+    result.rows["expansion"][-1] = result.rows["signal"][-1] = -99.0
+    for kind in ("ttc", "signal"):
+        figure = dlgmd_cli.plot(result, kind)
+        figure.draw_without_rendering()
+        (words,) = [text for text in figure.axes[0].texts if text.get_text().startswith("< ")]
+        box = words.get_window_extent()
+        assert (box.y0 + box.y1) / 2 < figure.axes[0].bbox.y0  # below all that is drawn
 
 
 def test_potentials_are_alone_unless_a_rule_goes_by_the_expansion():

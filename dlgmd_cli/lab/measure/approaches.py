@@ -231,19 +231,19 @@ def over_time(names: tuple[str, ...]) -> Figure:
         _trace(axes, of_name[name])
         axes.set(title=name, ylim=(-1.5, 2.0), ylabel="rate (1/s)")
     axes.set_xlabel("time (s)")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 
 def _trace(axes: Axes, case: Case) -> None:
-    """Draw a clip's rates; measured ones only as dots, by their quality."""
+    """Draw a clip's rates; measured ones only as dots, by their quality, behind the true ones."""
     found = compared(case.path, 60.0, small=False)
     good = found.quality >= QUALITY
-    axes.plot(found.time_s, found.true, color="black", label="true")
-    axes.plot(
-        found.time_s[good], found.measured[good], ".", color="C0", label=f"quality {QUALITY}+"
-    )
-    axes.plot(found.time_s[~good], found.measured[~good], ".", color="0.7", label="lower quality")
+    axes.plot(found.time_s, found.true, color="black", label="true", zorder=3)
+    for rows, color, name in ((good, "C0", f"quality {QUALITY}+"), (~good, "0.7", "lower quality")):
+        axes.plot(
+            found.time_s[rows], found.measured[rows], ".", color=color, label=name, markersize=3
+        )
     axes.axhline(ALARM, color="C3", linewidth=0.8, linestyle="--", label="threshold")
-    for at in case.collisions:
-        axes.axvline(float(np.interp(at, np.arange(len(found.time_s)), found.time_s)), color="0.5")
+    at_s = np.interp(case.collisions, np.arange(len(found.time_s)), found.time_s)
+    axes.vlines(at_s, -1.5, 2.0, color="0.5", label="closest approach")

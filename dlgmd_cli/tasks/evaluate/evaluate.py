@@ -21,6 +21,7 @@ from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
 from dlgmd_cli.results import scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
+from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
 from dlgmd_cli.results.names import difference_text
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -362,21 +363,27 @@ class Evaluation(Outcome):
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> Figure:  # type: ignore[override]
         """A figure: `trade-off` of recall and false alarms, `leads`, or `ttc`.
 
-        `width` is in columns of a paper. Raises ParameterError for another figure, and for `ttc`
-        without any estimate of the time to contact before a contact.
+        `width` is in columns of a paper. Raises ParameterError for another figure, for a trade-off
+        of fewer than two contacts, and for `ttc` without any estimate of the time to contact before
+        a contact.
         """
-        if kind == "ttc" and not self._ttc_rows():
-            raise ParameterError("", "no model estimates the time to contact before a contact")
+        if why := self._lacking(2).get(kind or next(iter(self.FIGURES))):
+            raise ParameterError("", why)
         return super().plot(kind, width=width)
+
+    def _lacking(self, min_contacts: int = _MIN_CONTACTS) -> dict[str, str]:
+        """Kind of each figure that has not data enough -> why it is not drawn."""
+        why = {}
+        if self.rows[0]["contacts"] < min_contacts:
+            why["trade-off"] = f"recall over false alarms needs {min_contacts} contacts"
+        if not self._ttc_rows():
+            why["ttc"] = "no model estimates the time to contact before a contact"
+        return why
 
     def figure_names(self) -> dict[str, str]:
         """Kind of each figure that has data enough -> file name without suffix."""
-        names = super().figure_names()
-        if not self._ttc_rows():
-            del names["ttc"]
-        if self.rows[0]["contacts"] < _MIN_CONTACTS:
-            del names["trade-off"]
-        return names
+        lacking = self._lacking()
+        return {k: name for k, name in super().figure_names().items() if k not in lacking}
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The arguments of each kind of figure, see `plots.evaluation`."""
@@ -397,8 +404,8 @@ class Evaluation(Outcome):
         lines, at = {}, {}
         for label, by_kind in self.curves.items():
             for name, line in by_kind.items():
-                if not self.main(label, kind=name)["contacts"] and name != ALL:
-                    continue  # no contact, thus no lead time
+                if self.main(label, kind=name)["contacts"] < 2:
+                    continue  # a single step, or none
                 title = label if name == ALL else f"{label}, {name}"
                 lines[title] = line
                 default = self.row(label, DEFAULT, kind=name)
@@ -441,6 +448,8 @@ class Evaluation(Outcome):
             yield ("model", "recall", "false/min"), cells
         for word in GROUPED:
             yield from self._shown_by(word)
+        if any(path.suffix[1:] in FIGURE_FORMATS for path in self.paths):
+            yield from (f"Not drawn: {why}." for why in self._lacking().values())
         yield from self.paths
 
     def _title(self, label: str) -> str:
