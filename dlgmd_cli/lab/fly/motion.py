@@ -23,8 +23,8 @@ G_M_S2 = 9.81
 # Of a stabilised camera drone (PX4: MPC_JERK_MAX), and of a racing drone.
 JERK_M_S3, AGILE_JERK_M_S3 = 8.0, 300.0
 DRAG_1_S = 0.2
-# How a drone stops at an alarm.
-BRAKE_TILT_DEG = 25.0
+# How a drone stops at an alarm, and the time that it may take after the end of its script.
+BRAKE_TILT_DEG, BRAKING_S = 25.0, 4.0
 _CLIMB_M_S2 = 3.0
 _YAW_DEG_S2, _AGILE_YAW_DEG_S2 = 60.0, 600.0
 # The last of an error of speed decays with this time constant, longer than that of the tilt, so
@@ -107,7 +107,7 @@ def simulated(script: Script, seed: int, brake_s: float | None = None) -> Path:
         From this time on the drone brakes, with at most `BRAKE_TILT_DEG`, until it stands.
     """
     legs, ends_s = script.legs, list(accumulate(leg.seconds for leg in script.legs))
-    n_steps = math.ceil(ends_s[-1] / STEP_S) + 2
+    n_steps = math.ceil((ends_s[-1] + (0.0 if brake_s is None else BRAKING_S)) / STEP_S) + 2
     jerk = AGILE_JERK_M_S3 if script.agile else JERK_M_S3
     yaw_acceleration = math.radians(_AGILE_YAW_DEG_S2 if script.agile else _YAW_DEG_S2)
     drift = _drift(n_steps, seed)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.builder import HULL, SCENERY, TARGET, Builder, turned
-from dlgmd_cli.lab.fly.motion import HULL_M, STEP_S, simulated
+from dlgmd_cli.lab.fly.motion import BRAKING_S, HULL_M, STEP_S, simulated
 from dlgmd_cli.lab.fly.objects import KINDS
 from dlgmd_cli.lab.fly.scripts import AHEAD, BESIDE, COMES, CROSSES, THROUGH, Script
 from dlgmd_cli.lab.fly.textures import FloatArray, GreyImage
@@ -24,8 +24,8 @@ _FAR_M = 100.0
 # A drone that is slower than that drifts, and flies nowhere.
 _SLOW_M_S = 0.15
 _SHIFTS_M = 6.0
-# The longest that a stop can take, and how long a film goes on after it, or after a contact.
-BRAKING_S, _AFTER_S = 4.0, 0.5
+# How long a film goes on after a stop or a contact.
+_AFTER_S = 0.5
 
 
 @dataclass(frozen=True)
