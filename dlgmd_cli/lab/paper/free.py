@@ -13,6 +13,11 @@ class Free(NamedTuple):
     meaning: str
     exhibits: tuple[str, ...]
 
+    def text(self, value: float) -> str:
+        """One of the values in words."""
+        words = self.meaning.replace("frames that hold", "frame that holds")
+        return f"{value:g} {words if value == 1 else self.meaning}".replace("-", "−")
+
 
 _FLIGHTS = ("fig13", "fig14", "fig15", "fig16", "fig17")
 _SEEN = ("fig9", "fig15", "fig16")

@@ -19,7 +19,6 @@ from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.lab.paper import claims, flights, objects, stimuli, table4
 from dlgmd_cli.lab.paper.claims import VERDICTS, ExhibitSpec, Finding, counts, findings, number
 from dlgmd_cli.lab.paper.clips import VERSIONS, check_reference, code_digest, model
-from dlgmd_cli.lab.paper.free import HELD
 from dlgmd_cli.lab.paper.plan import (
     ANY,
     Evidence,
@@ -145,7 +144,6 @@ class Report:
             picture=lambda stem: base64.b64encode((folder / f"{stem}.png").read_bytes()).decode(),
             versions_of={name: model(9, name) for name in VERSIONS},
             any=ANY,
-            held=HELD,
             with_authors=any(section.plan.reference for section in self.sections),
             counts=counts(self.found),
             whose=dict(zip(claims.WHOSE, _PARTS, strict=True)),

@@ -115,7 +115,7 @@ class Trial(NamedTuple):
 def trials_of(name: str, plan: Plan) -> list[Trial]:
     """What else is tried of an exhibit: other values of constants that matter, smoother motion."""
     found = [
-        Trial(f"{value:g} {constant.meaning}".replace("-", "−"), plan, key, value)
+        Trial(constant.text(value), plan, key, value)
         for key, constant in FREE.items()
         if name in constant.exhibits
         for value in constant.others
