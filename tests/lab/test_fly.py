@@ -184,7 +184,7 @@ class TestTruth:
         assert pitch[138] > 5
         assert path.at(140 / 30).velocity[0] < 0.8 * path.at(125 / 30).velocity[0]
 
-    def test_the_chair_of_group1_can_be_seen(self, mujoco):
+    def test_the_chair_of_group1_can_be_seen(self, drawing):
         for seed in (0, 1):
             frame = fly("group1", seed=seed, size="96x54").frames[100]
             assert np.median(frame[20:34, 43:53]) < 0.6 * np.median(frame[20:34])

@@ -11,7 +11,7 @@ from conftest import csv_rows
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.fly.fly import Flight, fly
-from dlgmd_cli.lab.paper import clips, flights, stimuli, table4
+from dlgmd_cli.lab.paper import clips, free, stimuli, table4
 from dlgmd_cli.lab.paper.claims import COLUMNS, NO, YES, load_claims, select
 from dlgmd_cli.lab.paper.clips import VERSIONS, Clip
 from dlgmd_cli.lab.paper.plan import ANY
@@ -48,7 +48,7 @@ def test_a_quick_report(tmp_path, runs, quick):
     each = {key: claim for spec in specs for key, claim in spec.claims.items()}
     ids = [one for key, claim in each.items() for one in (key, *_ids(claim))]
     assert list(dict.fromkeys(row["id"] for row in rows)) == ids
-    verdict = {(row["id"], row["formulation"]): row["verdict"] for row in rows}
+    verdict = {(row["id"], row["formulation"]): row["at_first"] for row in rows}
     for key in ids:
         seen = {(key, ANY), *((key, version) for version in VERSIONS)} & verdict.keys()
         assert len(seen) in (1, len(VERSIONS))
@@ -126,5 +126,5 @@ def test_flights_have_what_the_claims_ask_for():
     assert found.phases["decelerate"][0] == 125 and found.collision_frame == 140
     assert {"pitch", "accelerate"} <= found.phases.keys()
     frame, level = table4.false_positive(found), stimuli.sigmoid(found.results["lgmd"])
-    first, last = found.phases["pitch"][0], found.collision_frame - flights.APPROACH_FRAMES
+    first, last = found.phases["pitch"][0], found.collision_frame - free.frames("approach")
     assert first <= frame < last and level[frame] == level[frame - 1 : frame + 2].max()
