@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from dlgmd_cli.lab.paper.plan import (
     Evidence,
     Plan,
     Started,
+    Trial,
     compute,
     needed,
     plan_of,
@@ -108,7 +110,7 @@ def test_what_another_reading_turns_is_undecided(value, tries, reading, trial, v
     more = {"reason": "so", "unit": "dB", "tries": tries, "readings": others}
     claim = Claim.of("c", fields | more)
     evidence = Evidence({"c": {"default": [value]}, "c~other": {"default": [reading]}})
-    trials = [("smoother", Evidence({"c": {"default": [trial]}}))]
+    trials = [(Trial("smoother", Plan()), Evidence({"c": {"default": [trial]}}))]
     (found,) = claims.findings([claim], "IV", evidence, Plan(), trials)
     assert (found.verdict, found.flipped_by) == (verdict, flipped)
     # Where nothing changes, nothing was tried.
@@ -122,9 +124,10 @@ def test_a_free_constant_is_another_one_for_a_while():
     assert free.frames("contact") == 15
     exhibits = {name for constant in free.FREE.values() for name in constant.exhibits}
     assert exhibits <= set(EXHIBITS)
-    texts = [text for text, *_ in trials_of("fig14", Plan())]
+    texts = [trial.text for trial in trials_of("fig14", Plan())]
+    assert "level held for 1 frame" in texts and "level held for 3 frames" in texts
     assert "7 frames before and after braking begins" in texts and "smoother motion" in texts
-    assert "smoother motion" not in [text for text, *_ in trials_of("fig14", Plan(quick=True))]
+    assert "smoother motion" not in [trial.text for trial in trials_of("fig14", Plan(quick=True))]
 
 
 def test_the_page_has_what_fails_first():
@@ -217,6 +220,18 @@ def test_levels_that_are_held():
     assert flights.greatest(level, 0, 5, 2) == 0.5
     assert flights.greatest(level, 0, 2, 2) == 0.0
     assert flights.greatest(level, 0, 5) == 0.9
+
+
+def test_a_drop_is_that_of_the_level_as_the_drone_brakes():
+    flight = SimpleNamespace(phases={"decelerate": (20, 40)})
+    mp = np.array([0.0] * 10 + [4.0] * 10 + [2.0] * 5 + [1.0] * 15 + [5.0])
+    result = SimpleNamespace(collision_frame=40, mp=mp)
+    assert flights._drop(result, flight, lowest=False) == pytest.approx(0.375)
+    assert flights._drop(result, flight, lowest=True) == pytest.approx(0.25)
+    with free.trying("brake", 5):
+        assert flights._drop(result, flight, lowest=False) == pytest.approx(0.5)
+    mp[-1] = 500.0  # beside it, 4 is no response to speak of
+    assert math.isnan(flights._drop(result, flight, lowest=False))
 
 
 def started(needs):

@@ -14,7 +14,8 @@ from dlgmd_cli.lab.fly.fly import Flight, fly
 from dlgmd_cli.lab.paper import clips, free, stimuli, table4
 from dlgmd_cli.lab.paper.claims import COLUMNS, NO, YES, load_claims, select
 from dlgmd_cli.lab.paper.clips import VERSIONS, Clip
-from dlgmd_cli.lab.paper.plan import ANY
+from dlgmd_cli.lab.paper.paper import EXHIBITS
+from dlgmd_cli.lab.paper.plan import ANY, Plan, Started, compute, needed, trials_of
 
 PHASES = {"take off": (9, 40), "pitch": (40, 50), "accelerate": (50, 125), "decelerate": (125, 140)}
 
@@ -35,10 +36,6 @@ def quick(monkeypatch):
     monkeypatch.setattr(clips, "fly", ball)
 
 
-def _ids(claim):
-    return [reading.id for reading in claim.readings.values()]
-
-
 def test_a_quick_report(tmp_path, runs, quick):
     only = "fig1,fig6-fast,fig15"
     runs("lab", "paper", "--quick", "--only", only, "--out", "paper", "--jobs", 1)
@@ -46,10 +43,13 @@ def test_a_quick_report(tmp_path, runs, quick):
     rows = csv_rows(out / "claims.csv")
     specs = select(load_claims()[0], only.split(",")).values()
     each = {key: claim for spec in specs for key, claim in spec.claims.items()}
-    ids = [one for key, claim in each.items() for one in (key, *_ids(claim))]
-    assert list(dict.fromkeys(row["id"] for row in rows)) == ids
+    assert list(dict.fromkeys(row["id"] for row in rows)) == list(each)
+    read = {(row["id"], row["reading"]) for row in rows}
+    assert {(c.id, r.label) for c in each.values() for r in c.readings.values()} < read
+    assert ("fig15-silent", "level held for 2 frames") in read
+    rows = [row for row in rows if not row["reading"]]
     verdict = {(row["id"], row["formulation"]): row["at_first"] for row in rows}
-    for key in ids:
+    for key in each:
         seen = {(key, ANY), *((key, version) for version in VERSIONS)} & verdict.keys()
         assert len(seen) in (1, len(VERSIONS))
     # What the versions are known to differ in.
@@ -62,6 +62,22 @@ def test_a_quick_report(tmp_path, runs, quick):
     for name in ("fig1.png", "fig6.png", "fig15.pdf", "report.html"):
         assert (out / name).stat().st_size > 1000
     assert not [name for name in os.listdir(out) if name.startswith(".dlgmd")]
+
+
+@pytest.mark.parametrize("name", ["fig1", "fig9", "fig14"])
+def test_each_free_constant_that_an_exhibit_reads_is_tried(name, quick, monkeypatch):
+    read = set()
+
+    class Read(dict):
+        def get(self, key, default=None):
+            read.add(key)
+            return default
+
+    started = Started(EXHIBITS[name], Plan(quick=True))
+    data = compute(needed([started]), 1, lambda n, name: None)
+    monkeypatch.setattr(free, "_TRIED", Read())
+    started.evidence(data)
+    assert read == {trial.constant for trial in trials_of(name, Plan(quick=True))}
 
 
 def test_the_authors_frames_decide(tmp_path, runs):

@@ -8,13 +8,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.paper.clips import NULLS, VERSIONS
-from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan
+from dlgmd_cli.lab.paper.plan import ANY, Evidence, Plan, Trial
 
 CLAIMS = Path(__file__).with_name("claims.yaml")
 YES, NO, UNDECIDED = "yes", "no", "undecided"
@@ -31,7 +31,8 @@ SELECTS, RESPONDS, PART = KINDS = ("selects", "responds", "part")
 # Of `claims.csv`; the last ones say what made it.
 _MADE_BY = ("dlgmd", "commit", "cpu", "os")
 COLUMNS = (
-    *("id", "claim", "source", "whose", "formulation", "measure", "criterion", "threshold"),
+    *("id", "reading", "claim", "source", "whose", "formulation"),
+    *("measure", "criterion", "threshold"),
     *("shown_on", "seed", "value", "holds", "median", "low", "high", "seeds", "verdict"),
     *("at_first", "n_tried", "flipped_by", "undecided_by"),
     *("null_value", "null_holds", "input", "input_sha256", *_MADE_BY),
@@ -79,12 +80,10 @@ class Claim:
     @classmethod
     def of(cls, key: str, fields: Mapping[str, Any]) -> "Claim":
         """A claim from its fields in `claims.yaml`."""
-        others = fields.get("readings", {})
         claim = cls(key, **{**fields, "readings": {}})
-        of_reading = {name: (f"{key}~{name}", changes) for name, changes in others.items()}
         readings = {
-            name: replace(claim, id=at, tries=(), **changes)
-            for name, (at, changes) in of_reading.items()
+            name: replace(claim, id=f"{key}~{name}", tries=(), **changes)
+            for name, changes in fields.get("readings", {}).items()
         }
         return replace(claim, readings=readings)
 
@@ -117,7 +116,7 @@ class Finding:
 
     `frames` says on which frames, see `Plan.name`, and `inputs` which they are, see `Evidence`.
     `null` are the values of the same version without inhibition, if it was measured. `tried` are
-    the findings of other thresholds, readings, constants and motions, each with what it is.
+    the findings of other thresholds, readings, constants and motions.
     """
 
     claim: Claim
@@ -128,7 +127,7 @@ class Finding:
     frames: str = ""
     seeds: tuple[int | None, ...] = (None,)
     inputs: Mapping[int | None, Mapping[str, str]] = field(default_factory=dict)
-    tried: Sequence[tuple[str, "Finding"]] = ()
+    tried: Sequence["Tried"] = ()
 
     @property
     def of_null(self) -> "Finding | None":
@@ -174,13 +173,15 @@ class Finding:
         open_ = (UNDECIDED, UNTESTABLE)
         if self.at_first in open_:
             return []
-        return [t for t, other in self.tried if other.at_first not in (self.at_first, *open_)]
+        same = (self.at_first, *open_)
+        return [each.text for each in self.tried if each.found.at_first not in same]
 
     @property
     def undecided_by(self) -> list[str]:
         """What of that which was tried gives no verdict, where the finding itself has one."""
-        is_open = self.at_first == UNDECIDED
-        return [t for t, other in self.tried if other.at_first == UNDECIDED and not is_open]
+        if self.at_first == UNDECIDED:
+            return []
+        return [each.text for each in self.tried if each.found.at_first == UNDECIDED]
 
     @property
     def verdict(self) -> str:
@@ -193,6 +194,14 @@ class Finding:
             return None
         holds, _ = _HOLDS[self.claim.holds]
         return bool(holds(value, self.claim.threshold))
+
+
+class Tried(NamedTuple):
+    """Something that was tried in words, what was found, and whether it is another reading."""
+
+    text: str
+    found: Finding
+    is_reading: bool = False
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
@@ -261,11 +270,11 @@ def findings(
     source: str,
     evidence: Evidence,
     plan: Plan,
-    trials: Iterable[tuple[str, Evidence]] = (),
+    trials: Iterable[tuple[Trial, Evidence]] = (),
 ) -> list[Finding]:
     """Claims under each version of the model, as far as the evidence of a plan has them.
 
-    `trials` are the evidence with another constant, or of other motion, and what that is.
+    `trials` are the evidence with another constant, or of other motion.
     """
     trials, results = list(trials), []
     for claim in claims:
@@ -292,19 +301,21 @@ def _finding(
 
 
 def _tried(
-    found: Finding, evidence: Evidence, trials: Iterable[tuple[str, Evidence]], plan: Plan
-) -> Iterator[tuple[str, Finding]]:
+    found: Finding, evidence: Evidence, trials: Iterable[tuple[Trial, Evidence]], plan: Plan
+) -> Iterator[Tried]:
     """What else was tried: thresholds, readings, constants that matter, and other motion."""
     claim = found.claim
     unit = f" {claim.unit}" if claim.unit else ""
     for threshold in claim.tries:
-        text = f"threshold {number(threshold)}{unit}"
-        yield text, replace(found, claim=replace(claim, threshold=threshold))
-    others = [(each.label, each, evidence) for each in claim.readings.values()]
-    for text, reading, seen in [*others, *((text, claim, each) for text, each in trials)]:
-        other = _finding(reading, found.version, found.source, seen, plan)
-        if other and (reading is not claim or not _are_alike(found, other)):
-            yield text, other
+        other = replace(found, claim=replace(claim, threshold=threshold))
+        yield Tried(f"threshold {number(threshold)}{unit}", other)
+    for reading in claim.readings.values():
+        if read := _finding(reading, found.version, found.source, evidence, plan):
+            yield Tried(reading.label, read, is_reading=True)
+    for trial, seen in trials:
+        tried = _finding(claim, found.version, found.source, seen, plan)
+        if tried and not _are_alike(found, tried):
+            yield Tried(trial.text, tried, trial.is_reading)
 
 
 def _are_alike(one: Finding, other: Finding) -> bool:
@@ -314,7 +325,7 @@ def _are_alike(one: Finding, other: Finding) -> bool:
 
 
 def write_claims(path: Path, results: Iterable[Finding], made_by: Mapping[str, str]) -> None:
-    """Write `claims.csv`, a row for each claim, version and seed; OSError passes through.
+    """Write `claims.csv`, a row for each claim, reading, version and seed; OSError passes through.
 
     `made_by` are the versions and the machine, see `paper.made_by`.
     """
@@ -323,9 +334,9 @@ def write_claims(path: Path, results: Iterable[Finding], made_by: Mapping[str, s
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         for finding in results:
-            readings = [other for _, other in finding.tried if "~" in other.claim.id]
-            for each in (finding, *readings):
-                writer.writerows(row | machine for row in _rows(each))
+            readings = [each for each in finding.tried if each.is_reading]
+            for text, each in [("", finding), *((one.text, one.found) for one in readings)]:
+                writer.writerows(row | {"reading": text} | machine for row in _rows(each))
 
 
 def _rows(finding: Finding) -> Iterator[dict[str, str]]:
@@ -336,7 +347,7 @@ def _rows(finding: Finding) -> Iterator[dict[str, str]]:
     for place, (seed, value) in enumerate(zip(finding.seeds, finding.values, strict=True)):
         inputs = {**finding.inputs.get(None, {}), **finding.inputs.get(seed, {})}
         yield {
-            "id": claim.id,
+            "id": claim.id.partition("~")[0],
             "claim": claim.claim,
             "source": finding.source,
             "whose": claim.whose,

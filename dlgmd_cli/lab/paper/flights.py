@@ -380,7 +380,7 @@ def _drop(result: Result, flight: ClipResults, *, lowest: bool) -> float:
 
 
 def small_peaks(level: Series, first: int, last: int) -> int:
-    """The number of separate peaks of at least `ONSET`, but below T_MP, between two frames."""
+    """The number of separate peaks of at least the onset, but below T_MP, between two frames."""
     shown = level[first : last + 1]
     is_peak = (shown[1:-1] > shown[:-2]) & (shown[1:-1] >= shown[2:])
     return int(np.count_nonzero(is_peak & (shown[1:-1] >= free("onset")) & (shown[1:-1] < T_MP)))

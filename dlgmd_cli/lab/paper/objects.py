@@ -153,7 +153,7 @@ def _object_db(objects: ObjectSums, label: str) -> Series:
     """The attenuation of the ball shortly before contact, then of each capsule."""
     sums = objects.sums[label]
     p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
-    p[0], s[0] = np.nansum(sums[:, -frames("ball") :, 0], axis=1)
+    p[0], s[0] = np.nansum(sums[:, -frames("looming") :, 0], axis=1)
     return _decibels(p, s)
 
 

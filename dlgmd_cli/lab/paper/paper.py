@@ -25,6 +25,7 @@ from dlgmd_cli.lab.paper.plan import (
     Plan,
     Started,
     Steps,
+    Trial,
     compute,
     needed,
     plan_of,
@@ -72,13 +73,13 @@ def made_by() -> dict[str, str]:
 class Section:
     """An exhibit in the report: its texts, and what it shows.
 
-    `trials` is what it would show with another constant or other motion, each with what that is.
+    `trials` is what it would show with another constant or other motion.
     """
 
     spec: ExhibitSpec
     plan: Plan
     evidence: Evidence
-    trials: Sequence[tuple[str, Evidence]] = ()
+    trials: Sequence[tuple[Trial, Evidence]] = ()
 
     @cached_property
     def found(self) -> list[Finding]:
@@ -217,7 +218,7 @@ def paper(
     started = {name: Started(EXHIBITS[name], plans[name]) for name in plans}
     trials = {
         name: [
-            (trial.text, Started(EXHIBITS[name], trial.plan, trial.constant, trial.value))
+            (trial, Started(EXHIBITS[name], trial.plan, trial.constant, trial.value))
             for trial in trials_of(name, of)
         ]
         for name, of in plans.items()
@@ -232,7 +233,7 @@ def paper(
         sections = []
         for name, spec in specs.items():
             shown, others = started[name].evidence(data), trials[name]
-            seen = [(text, exhibit.evidence(data)) for text, exhibit in others]
+            seen = [(trial, exhibit.evidence(data)) for trial, exhibit in others]
             sections.append(Section(spec, plans[name], shown, seen))
         options = {"only": ",".join(only), "quick": quick, "reference": reference}
         report = Report(sections, remarks, plan, _command(options))

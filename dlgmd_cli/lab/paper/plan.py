@@ -78,6 +78,11 @@ class Plan:
         return tuple(range(FEW_SEEDS if self.quick else _SEEDS))
 
     @property
+    def interval(self) -> str:
+        """What the ends beside a median are: fewer than six seeds have their range."""
+        return "95 % interval" if len(self.seeds) > 5 else "range"
+
+    @property
     def is_larger(self) -> bool:
         """Whether the flights are larger than usual."""
         return self.flight_wh > USUAL_WH
@@ -110,12 +115,13 @@ class Trial(NamedTuple):
     plan: Plan
     constant: str = ""
     value: float = 0.0
+    is_reading: bool = False
 
 
 def trials_of(name: str, plan: Plan) -> list[Trial]:
     """What else is tried of an exhibit: other values of constants that matter, smoother motion."""
     found = [
-        Trial(constant.text(value), plan, key, value)
+        Trial(constant.text(value), plan, key, value, constant.is_reading)
         for key, constant in FREE.items()
         if name in constant.exhibits
         for value in constant.others

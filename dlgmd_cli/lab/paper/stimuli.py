@@ -284,7 +284,7 @@ def fig9(plan: Plan) -> Steps:
 
     def enhances(pool: Callable[..., float], version: str) -> float:
         """The attenuation of the last frames before contact, pooled."""
-        return float(pool(results["cube"][f"set9/{version}"].attenuation_db[-frames("ball") :]))
+        return float(pool(results["cube"][f"set9/{version}"].attenuation_db[-frames("looming") :]))
 
     def weaker(pool: Callable[..., float], version: str) -> float:
         """K of the receding cube by that of the looming one, relative to the LGMD's."""
@@ -482,7 +482,7 @@ _NEAR = 15
 # reading decides: the source of the paper has a constant latency, in a comment.
 _RADII, _RANGES = (4, 6), ((1.5, 6.0), (1.0, 4.0))
 _CONSTANT, _RADIAL = "constant", "radial"
-Range = tuple[float, float]
+_Range = tuple[float, float]
 
 
 def fig11(plan: Plan) -> Steps:
@@ -508,7 +508,7 @@ def fig11(plan: Plan) -> Steps:
     }
     grid = data[f"fig11, {(_CONSTANT, _RADII[0])}"].grid
 
-    def of(measure: Callable[[Series], float], latency: str, r: int, top: Range, v: str) -> float:
+    def of(measure: Callable[[Series], float], latency: str, r: int, top: _Range, v: str) -> float:
         """A measure of the map with a latency, a radius and a range."""
         if latency == _RADIAL:
             latency = by_latency[model(4, v).to_dict()["latency"]]

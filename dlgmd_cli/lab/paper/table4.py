@@ -252,8 +252,8 @@ def _panning(n_frames: int) -> Iterator[str]:
     texture = cv2.resize(cells, FULL_WH, interpolation=cv2.INTER_CUBIC)
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "panning.mp4"
-        frames = (np.roll(texture, 4 * n, axis=1) for n in range(n_frames))
-        write_video(path, frames, (height, width), FPS)
+        images = (np.roll(texture, 4 * n, axis=1) for n in range(n_frames))
+        write_video(path, images, (height, width), FPS)
         yield str(path)
 
 
@@ -443,7 +443,7 @@ def ablation(plan: Plan) -> Steps:
     rows: list[tuple[Value, ...]] = [("version", "set", *(f"DA, {part}" for part in PARTS))]
     rows += [(v, str(n), *(_shown(das(n, v, part)) for part in PARTS)) for v in FEW for n in SETS]
     draw = partial(plot_panels, _panels(das), "Set", "DA", dots=True, log_y=True)
-    title = "DA on group 1, median over seeds (95 % interval)"
+    title = f"DA on group 1, median over seeds ({plan.interval})"
     return Evidence(values, {"ablation": draw}, {title: rows})
 
 
