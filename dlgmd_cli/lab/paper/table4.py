@@ -238,6 +238,7 @@ Seconds = Mapping[tuple[int, float], float]
 _CORNERS = ((6, 1.0), (6, 0.25), (2, 1.0), (2, 0.02))
 # Versions that are timed: the fastest, and the slowest.
 _TIMED = ("default", "equations")
+N_PASSES = 5
 
 
 # A row of the table of times: seconds for 120 frames with loading, and of the model alone.
@@ -270,13 +271,26 @@ def _timed(path: str, params: DlgmdParameters, scale: float) -> Timing:
 
 
 def time_models(*, quick: bool) -> dict[str, dict[tuple[int, float], Timing]]:
-    """The times of some versions by radius and scale; if `quick`, of four of these alone."""
+    """The times of some versions by radius and scale; if `quick`, once, and of four of these alone.
+
+    Each is the median of passes over all, so that what else the computer does meets all alike.
+    """
     cells = _CORNERS if quick else tuple(PAPER_S)
     with _panning(24 if quick else 48) as path:
-        return {
-            v: {(r, x): _timed(path, model(TABLE_IV_SET, v, r=r), x) for r, x in cells}
-            for v in _TIMED
-        }
+        passes = [
+            {
+                (v, r, x): _timed(path, model(TABLE_IV_SET, v, r=r), x)
+                for v in _TIMED
+                for r, x in cells
+            }
+            for _ in range(1 if quick else N_PASSES)
+        ]
+
+    def middle(at: tuple[str, int, float]) -> Timing:
+        whole_s, alone_s = zip(*(one[at] for one in passes), strict=True)
+        return median(whole_s), median(alone_s)
+
+    return {v: {(r, x): middle((v, r, x)) for r, x in cells} for v in _TIMED}
 
 
 def table4_time(plan: Plan) -> Steps:
