@@ -80,7 +80,7 @@ def _variants_of(
         if takers and setup not in takers:
             continue
         with blame(f"Invalid value for '--variant': {name[:40]}"):
-            values = {**setup.params.to_dict(), **presets.reformulated(changes)}
+            values = {**setup.params.to_dict(), **setup.params.reformulated(changes)}
             label = name if len(setups) == 1 else f"{setup.label}/{name}"
             yield replace(setup, label=label, params=type(setup.params).from_mapping(values))
 

@@ -20,6 +20,7 @@ from dlgmd_cli.models.columns import ATTENUATION, column, columns_of, described
 from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.models.receptors import read_only
+from dlgmd_cli.parameters.keys import PUBLISHED_MODELS
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
 # Relative rounding of single precision.
@@ -67,6 +68,20 @@ class Response:
     )
     g_y: float = column("–", "the same, from −1 (top) to 1")
     more: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, p: FloatImage, s: FloatImage, g: FloatImage, *, layers: bool, **numbers: Any
+    ) -> "Response":
+        """The response of a model with these layers P, S and G, each (H, W) float32.
+
+        The sums and the centroid are those of the layers' absolute values; `mp` is Σ|G| unless
+        it is given among the other `numbers`. With `layers`, the response has copies of the layers.
+        """
+        p_sum, s_sum, mp = (cv2.norm(layer, cv2.NORM_L1) for layer in (p, s, g))
+        g_x, g_y = centroid(mp, first_moments(np.abs(g)), g.shape)
+        shown = Layers(p.copy(), s.copy(), g.copy()) if layers else None
+        return replace(cls(p_sum, s_sum, mp, layers=shown, g_x=g_x, g_y=g_y), **numbers)
 
     @property
     def is_valid(self) -> bool:
@@ -123,7 +138,10 @@ class Model:
     def __init_subclass__(cls) -> None:
         """Make the model known to its parameter class; raises ParameterError."""
         super().__init_subclass__()
-        if not cls.__module__.startswith("dlgmd_cli."):
+        package, _, module = cls.__module__.rpartition(".")
+        if package == PUBLISHED_MODELS:
+            cls.params_class = cls.params_class.own_of(cls, module.replace("_", "-"))
+        elif not cls.__module__.startswith("dlgmd_cli."):
             spec = f"{cls.__module__}:{cls.__qualname__}"
             cls.params_class = cls.params_class.own_of(cls, spec)
         elif vars(cls.params_class).get("module") == cls.__module__:

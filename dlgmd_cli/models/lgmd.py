@@ -17,7 +17,6 @@ from dlgmd_cli.parameters.presets import LgmdParameters
 
 # Weights of lateral inhibition, which acts one frame later.
 INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]])
-WHITE = 255.0
 
 
 class LGMD(Model):
@@ -75,14 +74,11 @@ class LGMD(Model):
         return Response(p_sum, s_sum, mp, ffi, self._threshold, shown, g_x, g_y)
 
     def _change(self) -> FloatImage:
-        receptors = self.receptors
-        p = cv2.subtract(receptors.current, receptors.previous, dtype=cv2.CV_32F)
-        if receptors.unit == 1.0:
-            p *= np.float32(WHITE)
+        p = self.receptors.level_change()
         for weight, earlier in zip((self.params.p1, self.params.p2), self._p, strict=False):
             if weight:
                 p += np.float32(weight) * earlier
-        return np.asarray(p, np.float32)
+        return p
 
     def _group(self, s: FloatImage) -> FloatImage:
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)

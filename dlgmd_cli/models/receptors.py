@@ -229,6 +229,22 @@ class Photoreceptors:
         self.clear(luminance)
         return luminance
 
+    def levels(self) -> FloatImage:
+        """The newest frame in grey levels, 0..255, a new array of shape (H, W), float32."""
+        scale = np.float32(1.0 if self.current.dtype == np.uint8 else 255.0)
+        return np.multiply(self.current, scale, out=aligned(self.current.shape), dtype=np.float32)
+
+    def level_change(self) -> FloatImage:
+        """L(t) - L(t-1) in grey levels, -255..255, a new array, (H, W) float32; 0 at frame 0."""
+        change = aligned(self.current.shape)
+        if self.frame == 0:
+            change[:] = 0.0
+            return change
+        cv2.subtract(self.current, self.previous, dst=change, dtype=cv2.CV_32F)
+        if self.current.dtype == np.float32:
+            change *= np.float32(255.0)
+        return change
+
     def change(self) -> FloatImage:
         """L(t) - L(t-1) of the newest frame in luminance, (H, W) float32, rounded once.
 

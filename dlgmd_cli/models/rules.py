@@ -249,6 +249,7 @@ class Spikes(Rule, name="spikes"):
     """An alarm after `n_sp` spikes in a row, [Zhao2023] Eq. (15).
 
     The level saturates. Scores therefore compare the mean excitation, which determines the level.
+    They compare the level of a model whose potential has a fixed scale already.
     """
 
     column, key, quantity, scored = "level", "t_mp", "normalised MP", "excitation"
@@ -258,6 +259,7 @@ class Spikes(Rule, name="spikes"):
     def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
         super().__init__(params, by_sequence=by_sequence)
         self.n_in_a_row = params.n_sp
+        self._compares_level = by_sequence or params.rest is not None
 
     @property
     def text(self) -> str:
@@ -276,11 +278,11 @@ class Spikes(Rule, name="spikes"):
 
     def strength_at(self, signal: float) -> float:
         """The mean excitation at a level."""
-        return signal if self.by_sequence else excitation_at(signal, self.params.kappa)
+        return signal if self._compares_level else excitation_at(signal, self.params.kappa)
 
     def value_at(self, strength: float) -> float:
         """The level at a mean excitation."""
-        if self.by_sequence or math.isinf(strength):
+        if self._compares_level or math.isinf(strength):
             return strength
         return float(absolute(strength, 1, self.params.kappa))
 
@@ -296,8 +298,9 @@ class Spikes(Rule, name="spikes"):
         """The parameters with a new `n_sp` and a new κ (four digits), or T_MP if there is no κ."""
         params = self.params
         if params.kappa is None:
-            t_mp = float(absolute(strength, 1, None))
-            return changed(params, t_mp=min(t_mp, 1.0), n_sp=n_in_a_row)
+            spec = params.specs()["t_mp"]
+            t_mp = min(max(self.value_at(strength), spec.low), spec.high)
+            return changed(params, t_mp=t_mp, n_sp=n_in_a_row)
         t_mp = params.t_mp if 0.0 < params.t_mp < 1.0 else _T_MP
         kappa = self._limited("kappa", strength / excitation_at(t_mp, 1.0))
         return changed(params, kappa=kappa, t_mp=t_mp, n_sp=n_in_a_row)

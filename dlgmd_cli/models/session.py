@@ -160,7 +160,9 @@ def _row(
     blind: str,
 ) -> Detection:
     """The row of a frame before the rule has judged it."""
-    mp_abs = float(absolute(response.mp, model.n_cells, model.params.kappa))
+    mp, params = response.mp, model.params
+    is_scaled = params.rest is not None
+    mp_abs = mp if is_scaled else float(absolute(mp, model.n_cells, params.kappa))
     return Detection(
         **vars(response),
         **vars(measured),

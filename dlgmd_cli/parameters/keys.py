@@ -22,6 +22,9 @@ _RESERVED = RECORD_KEYS.union(
     ("options", "fov", "camera_tilt"),
 )
 
+# The package of the models of the field, one module each.
+PUBLISHED_MODELS = "dlgmd_cli.models.published"
+
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 
 # The parameter classes of the custom models that this process has defined, by their names.
@@ -29,7 +32,7 @@ OWN_MODELS: dict[str, type["Parameters"]] = {}
 
 
 def key(
-    default: Value,
+    default: Value | Mapping[str, Value],
     symbol: str = "–",
     unit: str = "–",
     meaning: str = "",
@@ -42,8 +45,9 @@ def key(
 
     Parameters
     ----------
-    default : float, int, bool or str
-        The default, which determines the kind of the value.
+    default : float, int, bool or str, or a mapping of str to such a value
+        The default, which determines the kind of the value; or the default by the name of each
+        formulation, if the class has the key `formulation`.
     symbol, unit, meaning : str
         For `dlgmd sets show` and figures; "–" or empty for no symbol or no unit.
     low, high : float
@@ -52,12 +56,13 @@ def key(
         The allowed words.
     """
     words = choices, symbol or "–", unit or "–", meaning
-    return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
-
-
-def implied_key(usual: Value, *facts: Any, **more: Any) -> Any:
-    """A `key` whose default depends on other keys: None until the class computes the value."""
-    return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
+    by_formulation = default if isinstance(default, Mapping) else {}
+    usual = next(iter(by_formulation.values())) if isinstance(default, Mapping) else default
+    spec = Spec(type(usual), low, high, False, *words)
+    return field(
+        default=None if by_formulation else usual,  # None until the formulation is known
+        metadata={"spec": spec, "by_formulation": by_formulation},
+    )
 
 
 KAPPA = "half-saturation constant of mp_abs (mean excitation)"
@@ -124,6 +129,9 @@ class Parameters:
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
         Half-saturation constant of `mp_abs`; None for a model with its own sigmoid.
+    rest : float or None
+        The response at rest of a model whose `mp` has a fixed scale already, such as 0.5: its
+        `mp_abs` is `mp`, and it has no `kappa`. None for a potential that `mp_abs` normalises.
     alarm : str
         The name of the alarm's rule, one of `RULES` or ``"package.module:Class"``.
     ttc_alarm : float
@@ -137,6 +145,7 @@ class Parameters:
     source: ClassVar[str] = ""
     module: ClassVar[str] = ""
     model_class: ClassVar[Any] = None
+    rest: ClassVar[float | None] = None
 
     t_mp: float
     n_sp: int
@@ -152,12 +161,18 @@ class Parameters:
         for name, value in (defaults or {}).items():
             setattr(cls, name, field(default=value, metadata=inherited[name].metadata))
             cls.__annotations__[name] = inherited[name].type
+        if cls.rest is not None:
+            cls.kappa = None
         for name, (usual, *_) in _COMMON.items():
             if not hasattr(cls, name):
                 setattr(cls, name, common_key(name))
                 cls.__annotations__[name] = type(usual)
 
     def __post_init__(self) -> None:
+        named = {"formulation": getattr(self, "formulation", None)}
+        for name, value in self.reformulated(named).items():
+            if getattr(self, name, value) is None:
+                object.__setattr__(self, name, value)
         specs = self.specs()
         for name, value in self.to_dict().items():
             object.__setattr__(self, name, specs[name].check(value, name))
@@ -176,6 +191,8 @@ class Parameters:
     def own_of(cls, model_class: type, model: str) -> "type[Parameters]":
         """The parameter class of a custom model, whose name `model` is `package.module:Class`.
 
+        A model of the field has a name of its own, that of its module.
+
         Returns this class, or a new subclass if this class belongs to another model.
 
         Raises ParameterError if a key has a reserved name or no default, or the class is not
@@ -192,7 +209,7 @@ class Parameters:
             if item.name in _RESERVED:
                 why = f"has a key {item.name!r}, a name with another meaning in run.yaml"
             elif not isinstance(item.default, bool | int | float | str) and (
-                "implied" not in item.metadata
+                not item.metadata.get("by_formulation")
             ):
                 why = f"has no number, word, True or False as the default of {item.name}"
         if why:
@@ -222,6 +239,16 @@ class Parameters:
             if name not in cls.specs():
                 raise cls.unknown(str(name))
         return cls(**values)
+
+    @classmethod
+    def reformulated(cls, values: Mapping[str, Value | None]) -> dict[str, Any]:
+        """`values` and, if they name a formulation, the keys that the formulation implies."""
+        name, implied = values.get("formulation"), dict[str, Value]()
+        for item in fields(cls):  # type: ignore[arg-type]
+            by_formulation = item.metadata.get("by_formulation", {})
+            if isinstance(name, str) and name in by_formulation:
+                implied[item.name] = by_formulation[name]
+        return {**implied, **values}
 
     @classmethod
     def unknown(cls, key: str) -> ParameterError:

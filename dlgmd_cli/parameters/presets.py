@@ -2,13 +2,14 @@
 
 Overrides take precedence over a preset or file, a preset or file over the defaults; the result is
 frozen. A new model needs a parameter class here, listed in `MODELS`, a module in `models/` that
-names the class, and a YAML file in `configs/`. A custom model needs none, see `find_model`.
+names the class, and a YAML file in `configs/`. A model of the field needs only a module in
+`models/published/`, listed in `PUBLISHED`, and a custom model nothing, see `find_model`.
 """
 
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -33,21 +34,15 @@ from dlgmd_cli.parameters.facts import (
     part_of,
     stating,
 )
-from dlgmd_cli.parameters.keys import KAPPA, common_key, implied_key, key
+from dlgmd_cli.parameters.keys import KAPPA, common_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
 
 LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
-# Formulation -> values of the keys that are not given. The released formulations also have another
-# lag and divisor of FFI, see `DLGMD`.
-FORMULATIONS: dict[str, dict[str, Value]] = {
-    "default": {"latency": "bands", "saturate": True, "grouping": "sum"},
-    "released-2021": {"latency": "bands", "saturate": True, "grouping": "sum"},
-    "released-2020": {"latency": "bands-2020", "saturate": True, "grouping": "mean"},
-    "equations": {"latency": "interpolated", "saturate": False, "grouping": "sum"},
-}
+# The released formulations also have another lag and divisor of FFI, see `DLGMD`.
+FORMULATIONS = ("default", "released-2021", "released-2020", "equations")
 MAX_LATENCY_FRAMES = 64.0
 # The named configurations; the first is the default.
 PRESETS = ("flight", "flight-small")
@@ -97,19 +92,20 @@ class DlgmdParameters(Parameters):
         meaning="whose latency, limits and FFI: ours, a code's, the paper's",
         choices=FORMULATIONS,
     )
-    latency: str = implied_key(
-        "bands", meaning="how delays that are not whole frames are rounded", choices=LATENCIES
+    latency: str = key(
+        dict(zip(FORMULATIONS, ("bands", "bands", "bands-2020", "interpolated"), strict=True)),
+        meaning="how delays that are not whole frames are rounded",
+        choices=LATENCIES,
     )
-    saturate: bool = implied_key(True, "–", "–", "limit G to 1 and T_de to 0.3")
-    grouping: str = implied_key(
-        "sum", meaning="k times the sum or the mean of 4x4 cells, Eq. (9)", choices=GROUPINGS
+    saturate: bool = key(
+        dict(zip(FORMULATIONS, (True, True, True, False), strict=True)),
+        meaning="limit G to 1 and T_de to 0.3",
     )
-
-    def __post_init__(self) -> None:
-        for name, value in reformulated({"formulation": self.formulation}).items():
-            if name == "formulation" or getattr(self, name) is None:
-                object.__setattr__(self, name, value)
-        super().__post_init__()
+    grouping: str = key(
+        dict(zip(FORMULATIONS, ("sum", "sum", "mean", "sum"), strict=True)),
+        meaning="k times the sum or the mean of 4x4 cells, Eq. (9)",
+        choices=GROUPINGS,
+    )
 
     @property
     def is_released(self) -> bool:
@@ -227,9 +223,36 @@ class LkDivergenceParameters(Parameters):
     )
 
 
-# The models by name, without the baseline above.
+# The models with a file in `configs/` by name, without the baseline above.
 _OURS = (DlgmdParameters, OnOffParameters, LgmdParameters, EmdLgmdParameters)
-MODELS: dict[str, type[Parameters]] = {kind.model: kind for kind in _OURS}
+# A model of the field -> its class, in the module of the model's name in `models/published/`.
+PUBLISHED = {
+    "lgmd-2006": "LGMD2006",
+}
+
+
+class _Models(Mapping[str, type[Parameters]]):
+    """Model -> parameter class. A published model's module is imported on first use: it is slow."""
+
+    _ours: ClassVar = {kind.model: kind for kind in _OURS}
+
+    def __getitem__(self, name: str) -> type[Parameters]:
+        if name in PUBLISHED:
+            module = f"{keys.PUBLISHED_MODELS}.{name.replace('-', '_')}"
+            return keys.imported_model(f"{module}:{PUBLISHED[name]}").params_class  # type: ignore[no-any-return]
+        return self._ours[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._ours or name in PUBLISHED
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._ours, *PUBLISHED))
+
+    def __len__(self) -> int:
+        return len(self._ours) + len(PUBLISHED)
+
+
+MODELS: Mapping[str, type[Parameters]] = _Models()
 
 
 @cache
@@ -363,14 +386,14 @@ def config_of(model: ModelName | None = None) -> Config:
     if isinstance(model, Config):
         return model
     if isinstance(model, Parameters):
-        has_file = model.model in MODELS and model.model != DlgmdParameters.model
+        has_file = model.model in {kind.model for kind in _OURS[1:]}
         file = load_model_preset(model.model) if has_file else Config("")
         return replace(file, name="", model=model.model, values=model.to_dict(), kind=type(model))
     name = PRESETS[0] if model is None else str(model)
     option = "model" if isinstance(model, type) else kind_of_name(name)[0]
     if option == "set":
         return load_preset(name)
-    if option == "model" and name in MODELS:
+    if option == "model" and name in {kind.model for kind in _OURS}:
         is_dlgmd = name == DlgmdParameters.model
         return load_preset(DlgmdParameters.preset) if is_dlgmd else load_model_preset(name)
     if option == "model":
@@ -515,7 +538,8 @@ def load_config(path: str | Path) -> Config:
 
 def parameters_of(config: Config, overrides: Mapping[str, Value] | None = None) -> Parameters:
     """Merge defaults, `config` and `overrides`; a ParameterError names the source of the fault."""
-    kind, changes = kind_of(config), reformulated(overrides or {})
+    kind = kind_of(config)
+    changes = kind.reformulated(overrides or {})
     values = {**config.values, **changes}
     rule = values.get("alarm")
     if isinstance(rule, str) and ":" in rule and rule not in keys.RULES:
@@ -557,14 +581,3 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
         with in_argument("param"):
             values[key.strip()] = parse("", text) if len(text) < 1000 else text
     return values
-
-
-def reformulated(values: Mapping[str, Value]) -> dict[str, Any]:
-    """`values` and, if they name a formulation, the keys that the formulation implies.
-
-    For changes of parameters that already have a latency and a saturation.
-    """
-    name = values.get("formulation")
-    if not isinstance(name, str):
-        return dict(values)
-    return {**FORMULATIONS.get(name, {}), **values}

@@ -8,7 +8,7 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError, argument
 from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.presets import Parameters, reformulated
+from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results.csv import cell
 
 # An axis as the user gives it, see `Grid.parse`.
@@ -139,7 +139,7 @@ class Grid:
         points, fault = dict[int, Parameters](), None
         for point in range(len(self)):
             try:
-                points[point] = replace(params, **reformulated(self.overrides(point)))  # type: ignore[type-var]
+                points[point] = replace(params, **params.reformulated(self.overrides(point)))  # type: ignore[type-var]
             except ParameterError as error:
                 fault = fault or error
         if fault and not points:

@@ -197,8 +197,10 @@ class Result(Outcome):
 
     @property
     def excitation(self) -> Series:
-        """Mean excitation per cell, or `mp_seq` if spikes follow it: what determines the level."""
-        return self.mp_seq if self.by_sequence else self.mp / self.n_cells
+        """What determines the level: mean excitation per cell, `mp_seq`, or an `mp` with a rest."""
+        if self.by_sequence:
+            return self.mp_seq
+        return self.mp / self.n_cells if self.params.rest is None else self.mp
 
     @property
     def threshold(self) -> float:

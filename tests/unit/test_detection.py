@@ -115,7 +115,8 @@ def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
     frames = FRAMES if dtype == np.float32 else [np.uint8(frame * 255) for frame in FRAMES]
     model, alarm = create_model(params), Alarm(params, repeats="keep")
     responses = [model.step(frame) for frame in frames]
-    mp_abs = absolute(np.array([one.mp for one in responses]), 24 * 30, params.kappa)
+    mp = np.array([one.mp for one in responses])
+    mp_abs = absolute(mp, 24 * 30, params.kappa) if params.rest is None else mp
     rule = rule_of(params)
     judged = [rule.step(Detection(level=level)) for level in mp_abs.tolist()]
     for _ in range(2):

@@ -1,0 +1,1 @@
+"""The models of the field, each checked against the numbers of its public code."""
