@@ -228,6 +228,9 @@ _OURS = (DlgmdParameters, OnOffParameters, LgmdParameters, EmdLgmdParameters)
 # A model of the field -> its class, in the module of the model's name in `models/published/`.
 PUBLISHED = {
     "lgmd-2006": "LGMD2006",
+    "plgmd": "PLGMD",
+    "mc-lgmd": "McLGMD",
+    "sfa-lgmd": "SfaLGMD",
 }
 
 

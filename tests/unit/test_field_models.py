@@ -14,7 +14,11 @@ STIMULI = [
 ]
 # Model -> its name among the stored answers, and the parameters with which it is the benchmark's.
 BENCHMARK = {"formulation": "benchmark"}
-CASES = {"lgmd-2006": ("basic", {})}
+CASES = {
+    "lgmd-2006": ("basic", {}),
+    "mc-lgmd": ("mc", BENCHMARK),
+    "sfa-lgmd": ("sfa", BENCHMARK),
+}
 
 
 def field(name):

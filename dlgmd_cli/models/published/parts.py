@@ -7,6 +7,8 @@ import numpy as np
 
 from dlgmd_cli.frame import FloatImage
 
+# The formulations of a model whose code in the benchmark differs from its authors'.
+CODES = ("authors", "benchmark")
 # The weights of the four nearest cells and of the corners.
 NEIGHBOURS = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]], np.float32)
 # Beyond the border of the frame, everything is 0.
@@ -14,8 +16,8 @@ ZERO = cv2.BORDER_CONSTANT
 
 
 def sigmoid(k: float) -> float:
-    """1 / (1 + exp(-k)): 0.5 at rest, below 1."""
-    return 1.0 / (1.0 + math.exp(-k))
+    """1 / (1 + exp(-k)) in single precision, as in the public code: 1 from k = 17 on."""
+    return float(np.float32(1.0 / (1.0 + math.exp(-k))))
 
 
 def convolved(image: FloatImage, kernel: FloatImage, border: int = ZERO) -> FloatImage:

@@ -1,0 +1,94 @@
+"""The LGMD with motion and contrast pathways, Fu, Li and Peng 2023."""
+
+import cv2
+import numpy as np
+
+import dlgmd_cli
+from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, ZERO, convolved, grouped, sigmoid
+
+# A cell minus the mean of the 8 cells around it.
+_CONTRAST = np.array([[-1, -1, -1], [-1, 8, -1], [-1, -1, -1]], np.float32) / 8
+
+
+class McLGMDParameters(dlgmd_cli.Parameters):
+    """Parameters of `McLGMD`."""
+
+    source = "Fu, Li and Peng, Array 17, 2023"
+    rest = 0.5
+
+    formulation: str = dlgmd_cli.key(
+        "authors", meaning="whose code: the authors' or the benchmark's", choices=CODES
+    )
+    beta: float = dlgmd_cli.key(0.4, "β", "–", "strength of inhibition", 0, 100)
+    alpha1: float = dlgmd_cli.key(3.0, "α_1", "grey levels", "sensitivity to contrast", 1e-6, 1e3)
+    sigma: float = dlgmd_cli.key(5.0, "σ", "px", "width of the surround, of 9x9 cells", 0.01, 1e3)
+    c_omega: float = dlgmd_cli.key(4.0, "C_ω", "–", "divisor of max|Ce| in ω", 0.001, 1000)
+    c_de: float = dlgmd_cli.key(0.5, "C_de", "–", "decay coefficient of G", 1e-6, 100)
+    t_de: float = dlgmd_cli.key(0.7, "T_de", "–", "threshold of decayed G", 0, 1e6)
+    gain: float = dlgmd_cli.key(10.0, "–", "–", "factor of k in the sigmoid", 1e-6, 1e6)
+    # Both from the group's LGMDs.cs, since the code of this model has no spikes.
+    t_mp: float = dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
+    n_sp: int = dlgmd_cli.key(
+        5, "N_ts", "frames", "spikes in a row that raise an alarm, Fu 2019", 1, 1000
+    )
+
+
+class McLGMD(dlgmd_cli.Model):
+    """The LGMD of [Fu2023]: in two pathways, contrast inhibits motion.
+
+    With grey levels L, and H the Gaussian of 9x9 cells of width sigma; for ON (+) and OFF (-)::
+
+        P± = max(± (L(t) - L(t-1)), 0)
+        M = tanh(P± / (P± ∗ H + alpha1)),  C = |M - mean of the 8 cells around it|
+        S± = M(t) - beta M(t-1) ∗ w, with `NEIGHBOURS` w
+        R± = max(S± - C, 0)
+        S = R+ + R- + R+ R-,  G = S Ce / ω as in `LGMD2006`, 0 where c_de G < t_de
+        k = mean G;  MP = 1 / (1 + exp(-gain k))
+
+    This is the authors' code (fuqinbing/harmonizing-motion-and-contrast-vision-for-looming-
+    detection), which mirrors the frame at its border without repeating the outermost cells. The
+    benchmark (MingshuoXu/BiSTS, `LGMD_P_ON_OFF`) has zeros beyond the border, and keeps the wrong
+    half of OFF: R- = -min(S- - C, 0).
+    """
+
+    params_class = McLGMDParameters
+    layer_units = ("grey levels", "–", "–")
+    columns = ("k",)
+    first_valid_frame = 0
+
+    def __init__(self, params: McLGMDParameters | None = None) -> None:
+        super().__init__(params)
+        self._is_benchmark = self.params.formulation == "benchmark"
+        self._border = ZERO if self._is_benchmark else cv2.BORDER_REFLECT_101
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> dlgmd_cli.Response:
+        """Process the next frame, see `Model.step`."""
+        params, receptors = self.params, self.receptors
+        receptors.take(luminance)
+        p = receptors.level_change()
+        if receptors.frame == 0:
+            self._on = self._off = p
+            return dlgmd_cli.Response.of(p, p, p, layers=layers, mp=0.5)
+        self._on, on = self._pathway(np.maximum(p, 0.0), self._on)
+        self._off, off = self._pathway(np.maximum(-p, 0.0), self._off)
+        on = np.maximum(on, 0.0)
+        off = np.maximum(-off if self._is_benchmark else off, 0.0)
+        s = on + off + on * off
+        receptors.clear(s)
+        g = grouped(s, params.t_de / params.c_de, params.c_omega, self._border)
+        k = cv2.sumElems(g)[0] / self.n_cells
+        return dlgmd_cli.Response.of(
+            p, s, g, layers=layers, mp=sigmoid(params.gain * k), more={"k": k}
+        )
+
+    def _pathway(self, p: FloatImage, last: FloatImage) -> tuple[FloatImage, FloatImage]:
+        """M(t) of a pathway from P and M(t-1), and S - C."""
+        width = self.params.sigma
+        surround = cv2.GaussianBlur(p, (9, 9), width, borderType=self._border)
+        m = np.tanh(p / (surround + np.float32(self.params.alpha1)))
+        inhibition = convolved(last, NEIGHBOURS, self._border)
+        contrast = abs(convolved(m, _CONTRAST, self._border))
+        return m, m - np.float32(self.params.beta) * inhibition - contrast
