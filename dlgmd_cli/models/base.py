@@ -254,6 +254,7 @@ def create_model(params: Parameters) -> Model:
         raise ParameterError("", f"no model takes {kind.__name__}")
     if model_class.__module__.startswith("dlgmd_cli."):
         model: Model = model_class(params)
+        model.reset()  # a model may set its state only here
         return model
     return CustomModel(params)
 

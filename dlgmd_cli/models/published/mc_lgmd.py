@@ -8,7 +8,8 @@ from dlgmd_cli.models.base import FloatImage, Grey
 from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, ZERO, convolved, grouped, sigmoid
 
 # A cell minus the mean of the 8 cells around it.
-_CONTRAST = np.array([[-1, -1, -1], [-1, 8, -1], [-1, -1, -1]], np.float32) / 8
+_CONTRAST = np.full((3, 3), -1 / 8, np.float32)
+_CONTRAST[1, 1] = 1.0
 
 
 class McLGMDParameters(dlgmd_cli.Parameters):
@@ -86,9 +87,8 @@ class McLGMD(dlgmd_cli.Model):
 
     def _pathway(self, p: FloatImage, last: FloatImage) -> tuple[FloatImage, FloatImage]:
         """M(t) of a pathway from P and M(t-1), and S - C."""
-        width = self.params.sigma
-        surround = cv2.GaussianBlur(p, (9, 9), width, borderType=self._border)
-        m = np.tanh(p / (surround + np.float32(self.params.alpha1)))
+        surround = cv2.GaussianBlur(p, (9, 9), self.params.sigma, borderType=self._border)
+        m: FloatImage = np.tanh(p / (surround + np.float32(self.params.alpha1)))
         inhibition = convolved(last, NEIGHBOURS, self._border)
         contrast = abs(convolved(m, _CONTRAST, self._border))
         return m, m - np.float32(self.params.beta) * inhibition - contrast

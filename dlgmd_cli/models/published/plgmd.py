@@ -93,12 +93,11 @@ class PLGMD(dlgmd_cli.Model):
         self._p = [p, last]
         if receptors.frame < 2:  # no P(t-1) yet
             return dlgmd_cli.Response.of(p, 0 * p, 0 * p, layers=layers, mp=0.5)
-        s = cv2.copyTo(p, self.mask(params.p**2, p.shape))
+        s = p * self.mask(params.p**2, p.shape)
         inhibition = np.float32(-params.w_i) * self._inhibition(last)
         cv2.add(s, inhibition, dst=s, mask=self.mask(params.p, p.shape))
         receptors.clear(s)
-        g = grouped(s, params.t_s, params.c_omega)
-        g = cv2.copyTo(g, self.mask(params.p, p.shape))
+        g = grouped(s, params.t_s, params.c_omega) * self.mask(params.p, p.shape)
         k = cv2.norm(g, cv2.NORM_L1) / self.n_cells
         return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=sigmoid(k), more={"k": k})
 
