@@ -110,6 +110,13 @@ def _set_names() -> tuple[str, ...]:
 _SETS = Parsed("N|NAME", lambda text: [*map(_named_as("set"), listed(text))], _set_names)
 _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
+# The name that stands for every model of the package, where several models may be named.
+ALL = "all"
+_MODELS = Parsed(
+    "model",
+    lambda text: text if text == ALL else _named_as("model")(text),
+    lambda: (*_model_names(), ALL),
+)
 NO_FIGURES = "none"
 
 # Suffixes of files: a path with one of them is not a folder for results.
@@ -346,10 +353,10 @@ def _naming_options(*, many: bool) -> tuple[Option, ...]:
         option(
             "--model",
             f"model{plural}",
-            type=MODEL,
-            metavar=f"[{'|'.join(presets.MODELS)}|MODULE:CLASS]",
+            type=_MODELS if many else MODEL,
+            metavar=f"[{'|'.join(presets.MODELS)}{f'|{ALL}' * many}|MODULE:CLASS]",
             help="A model with its published parameters; dlgmd means set 9. A custom one is "
-            f"package.module:Class.{note}",
+            f"package.module:Class.{note}{' all means every model.' if many else ''}",
         ),
     )
 
@@ -401,8 +408,9 @@ def named_models(
 ) -> list[Any]:
     """The models that --set, --config and --model name, in this order, each once.
 
-    A custom --model is joined with the file that names the model: a file alone may not import it.
+    --model all names every model of the package. A custom --model is joined with the file that names the model: a file alone may not import it.
     """
+    models = tuple(m for n in models for m in (presets.MODELS if n == ALL else (n,)))
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
     by_config = {

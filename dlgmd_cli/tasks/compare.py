@@ -21,6 +21,7 @@ from dlgmd_cli.parameters.facts import (
     for_json,
     stating,
 )
+from dlgmd_cli.parameters.presets import MODELS
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.results.csv import Cells
@@ -223,8 +224,8 @@ def compare(
     video : str, path, or iterable of ndarray
         The input, as in `run`.
     model, formulation, param
-        The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
-        EMD-LGMD.
+        The models, as in `run`, or "all" for every model of the package. Without any, the preset
+        `flight` is compared with the LGMD and the EMD-LGMD.
     marks, spans : iterable of (int, str), of (int, int, str)
         Labels of frames and of ranges of frames in the figures; a mark of one model begins with
         the model's label.
@@ -262,7 +263,7 @@ def compare(
     """
     collision_frame = first_collision(video, collision_frame, collisions)
     models: list[ModelName] = [call.DEFAULT_PRESET, *COMPARED_MODELS]
-    chosen = models if model is None else model
+    chosen = models if model is None else [*MODELS] if model == "all" else model
     request = call.fold(chosen, formulation, param, options, video, repeats_record=False)
     labels = numbered([setup.label for setup in request.setups])
     labelled = zip(request.setups, labels, strict=True)
