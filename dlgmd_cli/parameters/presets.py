@@ -231,6 +231,10 @@ PUBLISHED = {
     "plgmd": "PLGMD",
     "mc-lgmd": "McLGMD",
     "sfa-lgmd": "SfaLGMD",
+    "lgmd1-lgmd2": "Lgmd1Lgmd2",
+    "lgmd2-lgmd1": "Lgmd2Lgmd1",
+    "algmd": "ALGMD",
+    "emd-lplc2": "EmdLplc2",
 }
 
 
