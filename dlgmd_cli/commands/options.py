@@ -408,7 +408,8 @@ def named_models(
 ) -> list[Any]:
     """The models that --set, --config and --model name, in this order, each once.
 
-    --model all names every model of the package. A custom --model is joined with the file that names the model: a file alone may not import it.
+    --model all names every model of the package. A custom --model is joined with the file that
+    names the model: a file alone may not import it.
     """
     models = tuple(m for n in models for m in (presets.MODELS if n == ALL else (n,)))
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}

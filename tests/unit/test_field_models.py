@@ -1,10 +1,13 @@
 """The models of the field against the numbers of their public code."""
 
+import cv2
 import numpy as np
 import pytest
 from reference_data import reference_dir
 
 import dlgmd_cli
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.presets import MODELS, PUBLISHED
 
 STIMULI = [
     *("dark_looming", "light_receding", "dark_translating_vertical"),
@@ -34,23 +37,25 @@ ROUNDED = {
 }
 
 
-def field(name):
+def field(name, *keys):
+    """Arrays of a file of the field's folder."""
     path = reference_dir() / "field" / f"{name}.npz"
     if not path.is_file():
         pytest.skip(f"no {path}")
-    return np.load(path)
+    with np.load(path) as arrays:
+        return [arrays[key] for key in keys]
 
 
 @pytest.mark.parametrize("model", CASES)
 @pytest.mark.parametrize("stimulus", STIMULI)
 def test_every_frame_is_the_benchmarks(model, stimulus):
     key, param, column = CASES[model]
-    answers = field("answers")
-    result = dlgmd_cli.run(field("stimuli")[stimulus], model, fps=30, param=param)
+    (frames,) = field("stimuli", stimulus)
+    answers = field("answers", f"{stimulus}/{key}", f"{stimulus}/{key}_k")
+    result = dlgmd_cli.run(frames, model, fps=30, param=param)
     exact = np.ones(len(result.mp), bool)
     exact[ROUNDED.get((model, stimulus), [])] = False
-    for values, name in ((result.mp, key), (getattr(result, column), f"{key}_k")):
-        answer = answers[f"{stimulus}/{name}"]
+    for values, answer in zip((result.mp, getattr(result, column)), answers, strict=True):
         np.testing.assert_allclose(values[exact], answer[exact], rtol=1e-5, atol=1e-12)
         np.testing.assert_allclose(values[~exact], answer[~exact], rtol=2e-3)
     np.testing.assert_array_equal(result.level, result.mp)
@@ -85,3 +90,75 @@ def test_algmd_of_the_authors_starts_at_its_third_frame():
     result = dlgmd_cli.run(noise, "algmd")
     first = -65 + 2e-3 / 30 * (0.04 * 65**2 - 5 * 65 + 140)
     np.testing.assert_allclose(result.v[:3], [-65, -65, first], rtol=1e-12)
+
+
+def responses(model, frames, **values):
+    """The responses and the numbers before the sigmoid of a model with these parameters."""
+    created = create_model(MODELS[model](**values))
+    found = [created.step(frame) for frame in frames]
+    return np.array([[one.mp, one.more.get("k", np.nan)] for one in found]).T
+
+
+def test_the_probabilistic_models_mean_and_spread():
+    """Of G, since the response of noise is 1; the stored numbers are of 20 seeds."""
+    (frames,) = field("stimuli", "noise_64x48")
+    mean, sd = field("answers", "noise_64x48/plgmd_k_mean", "noise_64x48/plgmd_k_sd")
+    runs = [responses("plgmd", frames, seed=seed, **BENCHMARK)[1] for seed in range(60)]
+    found, spread = np.mean(runs, axis=0)[2:], np.std(runs, axis=0, ddof=1)[2:]
+    errors = abs(found - mean[2:]) / np.hypot(spread / 60**0.5, sd[2:] / 20**0.5)
+    assert (errors < 3.0).mean() >= 0.9 and errors.max() < 5.0
+    assert np.median(spread / sd[2:]) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_seed_repeats_a_run_and_a_mask_keeps_its_share():
+    frames = np.random.default_rng(1).integers(0, 256, (5, 30, 40), np.uint8)
+    first, again, other = (responses("plgmd", frames, seed=seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert (first[1, 2:] != other[1, 2:]).all()
+    model = create_model(MODELS["plgmd"](seed=3))
+    for p in (0.0, 0.3, 0.8, 1.0):
+        assert model.mask(p, (2000, 2000)).mean() == pytest.approx(p, abs=1e-3)
+
+
+def test_the_defaults_are_the_authors():
+    """What the authors' own codes compute, in NumPy and float64, for two frames of noise."""
+    frames = np.random.default_rng(2).integers(0, 256, (3, 24, 30), np.uint8)
+    grey = frames.astype(float)
+    last = dict.fromkeys((1, -1), np.zeros((24, 30)))
+    around = np.array([[0.125, 0.25, 0.125], [0.25, 0, 0.25], [0.125, 0.25, 0.125]])
+    centre = np.full((3, 3), -1 / 8)
+    centre[1, 1] = 1.0
+    expected = []
+    for change in np.diff(grey, axis=0):
+        kept = {}
+        for sign in (1, -1):
+            p = np.maximum(sign * change, 0.0)
+            m = np.tanh(p / (cv2.GaussianBlur(p, (9, 9), 5) + 3))
+            s = m - 0.4 * cv2.filter2D(last[sign], -1, around)
+            kept[sign], last[sign] = np.maximum(s - abs(cv2.filter2D(m, -1, centre)), 0), m
+        s = kept[1] + kept[-1] + kept[1] * kept[-1]
+        ce = cv2.blur(s, (3, 3))
+        g = s * ce / (ce.max() / 4 + 0.01)
+        expected.append(g[0.5 * g >= 0.7].sum() / g.size)
+    np.testing.assert_allclose(responses("mc-lgmd", frames)[1, 1:], expected, rtol=1e-5)
+    authors, benchmark = MODELS["plgmd"](), MODELS["plgmd"](**BENCHMARK)
+    assert (authors.p1, authors.p2, authors.t_s) == (0.5, 0.5, 100.0)
+    assert (benchmark.p1, benchmark.t_s) == (pytest.approx(0.2689414), 30.0)
+
+
+def test_field_models_say_what_they_are():
+    for name in PUBLISHED:
+        kind = MODELS[name]
+        assert kind.source and kind.rest == 0.5 and kind().kappa is None
+        assert kind().t_mp > 0.5 and kind.model == kind.preset == name
+        for key, spec in kind.specs().items():
+            assert spec.meaning, key
+
+
+def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
+    compared = dlgmd_cli.compare(frames, "all", fps=30)
+    labels = [*compared.results]
+    assert labels == ["set9" if name == "dlgmd" else name for name in MODELS]
+    assert compared.plot("mp").axes
