@@ -133,6 +133,7 @@ class TestScripts:
         assert all(60 <= script.fov_deg <= 120 for script in scripts)
         assert all(1.0 <= s.speed_m_s <= 3.0 for s in scripts if s.name != "climb")
         given = script_of(Options("hit", 0, speed_m_s=2.5, fov=90.0))
+        assert {leg.climb_m_s for leg in script_of(Options("free", 3, height_m=0.7)).legs} == {0.0}
         assert (given.speed_m_s, given.fov_deg) == (2.5, 90.0)
 
     @pytest.mark.parametrize("environment", ["indoors", "outdoors"])
