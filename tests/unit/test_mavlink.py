@@ -838,7 +838,7 @@ def test_an_alarm_that_is_too_late_is_warned_of(
     lines = [line for line in caplog.messages if "is too late for a stop" in line]
     assert len(lines) == (cure is not None)
     for line in lines:
-        assert f"at {speed_m_s} m/s, expansion_alarm 0.48" in line and cure in line
+        assert f"at {speed_m_s} m/s, expansion_alarm 0.47" in line and cure in line
         assert "false alarms" in line
 
 

@@ -165,7 +165,7 @@ def test_the_longest_stretch_that_is_held_back_is_told():
     result.rows["expansion"][14:20], result.rows["expansion"][30:45] = 2.0, 3.0  # 0.2 s, 0.56 s
     result.rows["expansion"][50:60] = 2.0
     result.rows["expansion_quality"][[50, 51, 52, 59]] = 1.0  # an alarm with a pause
-    result.rows["expansion_across"], result.rows["approach"] = result.expansion, 0.0
+    result.rows["expansion_upright"], result.rows["approach"] = result.expansion, 0.0
     result = replace(result, params=replace(result.params, alarm="expansion"))
     held = judged_anew(result)
     assert held.alarm_spans.tolist() == [[50, 59]] and not held.alarms[53:59].any()
