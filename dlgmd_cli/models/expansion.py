@@ -62,7 +62,7 @@ class Measured:
     )
     expansion_quality: float = column(
         "–",
-        "how well the window was tracked, from 0 to 1; "
+        "how well the window was tracked, from 0 to 1, not how true the rate is; "
         "[1/2](model.md#expansion-rate-and-time-to-contact) for a standard error of 0.2/s",
     )
     ttc_s: float = column(

@@ -116,19 +116,24 @@ def upright(points: Points, there: Points, weight: npt.NDArray[np.float64]) -> f
     """
     x, y = np.float64(points).T
     u, v = np.float64(there).T - (x, y)
-    first = np.flatnonzero(np.diff(y, prepend=-np.inf))
-    terms = np.stack((np.ones(len(x)), x, u, x * x, x * u, v)) * weight
-    in_row, sum_x, sum_u, sum_xx, sum_xu, sum_v = np.add.reduceat(terms, first, axis=1)
-    rows = y[first]
-    level = rows - float(in_row @ rows) / float(in_row.sum())
-    spread = sum_xx - sum_x**2 / in_row
-    below = np.cumsum((in_row * level)[::-1])[-2::-1] * np.diff(rows)
-    share = (np.append(below, 0.0) + np.append(0.0, below)) * (spread > LEAST_SPREAD)
-    if not (total := float(share.sum())):
-        return math.nan
-    of_rows = (sum_xu - sum_x * sum_u / in_row) / np.maximum(spread, LEAST_SPREAD)
-    down = float(level @ sum_v) / float(in_row @ level**2)
-    return 2.0 * float(share @ of_rows) / total - down
+    first = np.flatnonzero(np.concatenate(((True,), y[1:] > y[:-1])))
+    terms = weight * np.array((np.ones(len(x)), x, y, u, v, x * x, x * u))
+    rows = np.add.reduceat(terms, first, axis=1).T.tolist()
+    middle = sum(row[2] for row in rows) / sum(row[0] for row in rows)
+    moment = down = above = total = across = 0.0
+    last_y = last_growth = 0.0
+    had_growth = False
+    for n, sum_x, sum_y, sum_u, sum_v, sum_xx, sum_xu in rows:
+        level, spread = sum_y / n - middle, sum_xx - sum_x**2 / n
+        has_growth = spread > LEAST_SPREAD
+        growth_across = (sum_xu - sum_x * sum_u / n) / spread if has_growth else 0.0
+        # The sum over the rows below is minus that over those above; 0 before the first row.
+        share = -above * (level - last_y)
+        across += share * (growth_across + last_growth)
+        total += share * (has_growth + had_growth)
+        above, moment, down = above + n * level, moment + n * level**2, down + level * sum_v
+        last_y, last_growth, had_growth = level, growth_across, has_growth
+    return 2.0 * across / total - down / moment if total > 0.0 else math.nan
 
 
 def tracked(
