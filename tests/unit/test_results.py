@@ -254,7 +254,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     assert table["alarm"].tolist() == [False, False, True]
     assert {*table.columns} == csv.KNOWN
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[pandas\]'"):
         result.to_dataframe()
 
 
