@@ -3,16 +3,23 @@
    Each page is found once, at its best heading. The changelog and the pages of Python come last. */
 var Scorer = { objNameMatch: 6, objPartialMatch: 0, objPrio: {}, objPrioDefault: 0 };
 
+/* What readers write -> words of the pages. */
 const SYNONYMS = {
-  accuracy: "good measurements", accurate: "good measurements", bibtex: "cite", bug: "report", citation: "cite",
-  commercial: "licence", copyright: "licence", cpu: "computer", crash: "collision", error: "troubleshooting",
-  flir: "thermal", fov: "lens", framerate: "fps", ideas: "contributing", infrared: "thermal", install: "installation",
-  jetson: "raspberry", latency: "late", license: "licence", mac: "macos", mit: "licence", pip: "install",
-  precision: "measurements", propeller: "mask", r: "matlab", recall: "announced", reference: "cite", rpi: "raspberry",
-  setup: "install", speed: "fast", tif: "tiff", tutorial: "start", vulnerability: "security", webcam: "camera",
+  accuracy: "good measurements", accurate: "good measurements", bibtex: "cite", bug: "report",
+  citation: "cite", commercial: "licence", copyright: "licence", crash: "collision", csv: "columns",
+  docker: "install", error: "troubleshooting", flir: "thermal", fov: "lens", framerate: "fps",
+  infrared: "thermal", jetson: "raspberry", license: "licence", mac: "macos", mit: "licence",
+  my: "custom", osd: "display", own: "custom", pip: "install", precision: "measurements",
+  propeller: "mask", r: "matlab", recall: "announced", reference: "cite", rpi: "raspberry",
+  setup: "install", speed: "fast", tif: "tiff", tutorial: "start", vulnerability: "security",
+  webcam: "camera",
 };
-const WEIGHTS = [[/^changelog/, 0.1], [/^python|^commands\//, 0.35], [/^notebooks|^lab|^gallery|^contributing/, 0.7],
-  [/^questions/, 1.3], [/^(start|troubleshooting|choose|limits)$/, 1.1]];
+/* Page -> weight of its score, else 1. */
+const WEIGHTS = [
+  [/^changelog/, 0.1], [/^python|^commands\//, 0.35],
+  [/^measurements|^notebooks|^lab|^gallery|^contributing/, 0.7],
+  [/^questions/, 1.3], [/^(start|troubleshooting|choose|limits)$/, 1.1],
+];
 
 const wordsOf = (text) => splitQuery(text.toLowerCase()).map((word) => new Stemmer().stemWord(word));
 const weightOf = (page) => WEIGHTS.find(([name]) => name.test(page))?.[1] ?? 1;
@@ -23,7 +30,6 @@ const headings = (index) => Object.entries(index.alltitles).flatMap(([title, pla
 
 Search._performSearch = (query) => {
   const index = Search._index;
-  const pages = index.docnames.map(() => new Map());  // page -> word -> 1 in its text, 2 in its title
   const asked = splitQuery(query.toLowerCase()).map((word) =>
     [word, ...(SYNONYMS[word] ?? "").split(" ").filter(Boolean)].flatMap(wordsOf));
   const found = new Map();
@@ -32,13 +38,14 @@ Search._performSearch = (query) => {
     return of.length ? Math.log(1 + index.docnames.length / new Set(of).size) : 0.5;
   };
   const has = (terms, word, page) => Object.hasOwn(terms, word) && [terms[word]].flat().includes(page);
+  const level = (word, heading, page) => {
+    if (heading.has(word)) return 4;
+    return has(index.titleterms, word, page) ? 2 : has(index.terms, word, page) ? 1 : 0;
+  };
   for (const { page, anchor, title, words } of headings(index)) {
     let score = 0, covered = 0;
     for (const same of asked) {
-      score += Math.max(...same.map((word) => {
-        const level = words.has(word) ? 4 : has(index.titleterms, word, page) ? 2 : has(index.terms, word, page) ? 1 : 0;
-        return level * rarity(word);
-      }));
+      score += Math.max(...same.map((word) => level(word, words, page) * rarity(word)));
       covered += same.some((word) => words.has(word));
     }
     score *= weightOf(index.docnames[page]) * (1 + covered / words.size);
