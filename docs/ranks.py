@@ -1,8 +1,8 @@
 """How well the search of the built pages finds: `python docs/ranks.py docs/_build/html`.
 
-Prints the rank of the right page for each query of `docs/queries.txt`, by a browser. A line there is
-a query, a bar, and the pages that answer it. Needs '.[dev]' and `playwright install chromium`, or the
-path of a Chromium in the environment variable CHROMIUM.
+Prints the rank of the right page for each query of `docs/queries.txt`, by a browser. A line there
+is a query, a bar, and the pages that answer it. Needs '.[dev]' and `playwright install chromium`,
+or the path of a Chromium in the environment variable CHROMIUM.
 """
 
 import os
