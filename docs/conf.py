@@ -135,20 +135,27 @@ def _in_sections(app: Any, ctx: click.Context, lines: list[str]) -> None:
             lines += [f".. option:: {names}", "", f"   {_no_markup(text)}", ""]
 
 
+def _option_texts(command: str) -> dict[str, str]:
+    """The options of a command -> their help, with the form of a text such as WxH+X+Y."""
+    found = cli.get_command(click.Context(cli), command)
+    texts = {}
+    for one in () if found is None else found.params:
+        form = f" As ``{one.metavar}``." if re.search("[a-z]", one.metavar or "") else ""
+        if isinstance(one, click.Option) and one.help:
+            texts[one.name] = one.help + form
+    return texts
+
+
 def _spell_options(app: Any, what: str, name: str, of: Any, how: Any, lines: list[str]) -> None:
     """The arguments below `options`, each with its type and the text that a command has for it."""
     if what != "function" or "options" not in lines or "Parameters" not in lines:
         return
     end = lines.index("", lines.index("options"))
-    texts = {}
-    for command in ("run", "live", name.rpartition(".")[2]):
-        found = cli.get_command(click.Context(cli), command)
-        options = () if found is None else found.params
-        texts |= {one.name: one.help for one in options if isinstance(one, click.Option)}
     own = {entry.strip() for line in lines[:end] for entry in line.partition(" : ")[0].split(",")}
+    texts = _option_texts("run") | _option_texts("live") | _option_texts(name.rpartition(".")[2])
     for one in inspect.signature(of).parameters.values():
-        if one.name not in own and one.kind is one.KEYWORD_ONLY and texts.get(one.name):
-            types = re.sub(r"(\w+\.)+", "", inspect.formatannotation(one.annotation))
+        if one.name not in own and one.kind is one.KEYWORD_ONLY and one.name in texts:
+            types = re.sub(r"(\w+\.)+", "", inspect.formatannotation(one.annotation)).strip("'")
             words = types.replace(" | None", "").replace(" | ", " or ")
             meaning = re.sub(r"--([a-z-]+)", lambda f: f[1].replace("-", "_"), texts[one.name])
             lines[end:end] = [f"{one.name} : {words}, optional", f"    {_no_markup(meaning)}"]
