@@ -176,6 +176,12 @@ def test_the_longest_stretch_that_is_held_back_is_told():
     )
 
 
+def test_a_notebook_shows_a_result_as_a_table_and_a_figure():
+    shown = result_of_level(np.array([NAN, NAN, 0.1, 0.5, 0.6]))._repr_html_()
+    assert "<td>alarm rule</td>" in shown and "<td>spikes</td>" in shown
+    assert 'src="data:image/png;base64,iVBOR' in shown
+
+
 def test_sharpness_and_distinguishability():
     mp = np.zeros(40)
     mp[30], mp[10], mp[12] = 8.0, 2.0, 2.0
@@ -254,7 +260,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     assert table["alarm"].tolist() == [False, False, True]
     assert {*table.columns} == csv.KNOWN
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[pandas\]'"):
         result.to_dataframe()
 
 
