@@ -815,9 +815,9 @@ def test_px4_is_not_asked(link, clock):
 @pytest.mark.parametrize(
     ("jerk", "speed_m_s", "is_armed", "cure"),
     [
-        (5.0, 3.0, True, "set PSC_JERK_XY to 10, which"),
-        (5.0, 5.0, True, "set PSC_JERK_XY to 15, which"),
-        (None, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (5.0, 3.0, True, "set PSC_JERK_XY to 15, which"),
+        (5.0, 5.0, True, "set PSC_JERK_XY to 20, which"),
+        (None, 3.0, True, "set PSC_JERK_XY to 15, which"),
         (20.0, 3.0, True, None),
         (5.0, 3.0, False, None),
         (5.0, 0.2, True, None),
