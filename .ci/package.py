@@ -17,15 +17,15 @@ ROOT = Path.cwd()
 VIDEO = "looming-cube.mp4"
 # What needs an extra, and the words that say which; exit code 1, and one line on stderr.
 WITHOUT_EXTRAS = {
-    "view done/looming-cube --out x.html": "dlgmd[view]",
-    f"live {VIDEO} --realtime --serve 0": "dlgmd[live]",
-    f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
-    "run flight.mcap": "dlgmd[ros]",
-    **{f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]" for name in ("run", "info")},
-    **{f"lab {name}": "dlgmd[lab]" for name in ("fly", "paper", "bench", "measure")},
-    f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": "dlgmd[cluster]",
-    "batch s3://bucket/x": "dlgmd[cluster]",
-    f"batch {VIDEO} --out s3://bucket/x": "dlgmd[cluster]",
+    "view done/looming-cube --out x.html": ".[view]",
+    f"live {VIDEO} --realtime --serve 0": ".[live]",
+    f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": ".[live]",
+    "run flight.mcap": ".[ros]",
+    **{f"{name} {VIDEO} --decoder pyav": ".[fast]" for name in ("run", "info")},
+    **{f"lab {name}": ".[lab]" for name in ("fly", "paper", "bench", "measure")},
+    f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": ".[cluster]",
+    "batch s3://bucket/x": ".[cluster]",
+    f"batch {VIDEO} --out s3://bucket/x": ".[cluster]",
 }
 
 

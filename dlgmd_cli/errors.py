@@ -142,6 +142,8 @@ _EXTRAS = {
     "view": ("jinja2", "plotly"),
 }
 NOT_INSTALLED = "is not installed"
+# Nothing is on a package index: extras are installed from the clone.
+INSTALL_EXTRA = "Install it from the clone: pip install '.[{}]'"
 
 
 class MissingExtraError(DlgmdError):
@@ -153,8 +155,9 @@ class MissingExtraError(DlgmdError):
     ) -> "MissingExtraError":
         """The error that `what` needs a package; `instead` names an option without the package."""
         name = str(package).partition(".")[0]
-        extras = (f"'dlgmd[{extra}]'" for extra, names in _EXTRAS.items() if name in names)
-        hint = f"Install it with: pip install {next(extras, name)}{instead and ', or '}{instead}."
+        extras = (INSTALL_EXTRA.format(one) for one, names in _EXTRAS.items() if name in names)
+        install = next(extras, f"Install it with: pip install {name}")
+        hint = f"{install}{instead and ', or '}{instead}."
         return cls(what, f"the package {name!r} {why}", hint)
 
 

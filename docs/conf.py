@@ -1,7 +1,9 @@
 """Sphinx's configuration: `sphinx-build -W --keep-going -n docs docs/_build/html`."""
 
+import inspect
 import re
 import shutil
+from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,6 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 import dlgmd_cli
 from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
-from dlgmd_cli.video.input_options import CHECKS
 
 HERE = Path(__file__).parent
 
@@ -56,8 +57,6 @@ for name in (*COMMANDS, *HIDDEN):
     page = COMMAND.format(name=name, home=home)
     (commands / f"{name}.rst").write_text(page, encoding="utf-8")
 
-# What docstrings say of `options` that are those of the input.
-OF_INPUT = r"Options of the input, as in `run`|see `dlgmd run --help`. `alarm`"
 # The docstrings state types and shapes.
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
@@ -71,7 +70,14 @@ smartquotes = False
 # What the signature of a class without a public parameter class names.
 nitpick_ignore_regex = [("py:class", r"dlgmd_cli\.parameters\..*")]
 
+# From `[project.urls]` in pyproject.toml; without `Source`, pages have no link to edit them.
+addresses = dict(one.split(", ") for one in metadata(project).get_all("Project-URL") or ())
 html_theme = "furo"
+html_theme_options = {
+    "source_repository": addresses.get("Source", ""),
+    "source_branch": "main",
+    "source_directory": "docs/",
+}
 html_title = f"dlgmd {version}"
 html_static_path = ["_static"]
 html_favicon = "_static/favicon.svg"
@@ -129,16 +135,39 @@ def _in_sections(app: Any, ctx: click.Context, lines: list[str]) -> None:
             lines += [f".. option:: {names}", "", f"   {_no_markup(text)}", ""]
 
 
+def _option_texts(command: str) -> dict[str, str]:
+    """The options of a command -> their help, with the form of a text such as WxH+X+Y."""
+    found = cli.get_command(click.Context(cli), command)
+    texts = {}
+    for one in () if found is None else found.params:
+        form = f" As ``{one.metavar}``." if re.search("[a-z]", one.metavar or "") else ""
+        if isinstance(one, click.Option) and one.help:
+            texts[one.name] = one.help + form
+    return texts
+
+
 def _spell_options(app: Any, what: str, name: str, of: Any, how: Any, lines: list[str]) -> None:
-    """The options of the input below `options`, each with the text that `dlgmd run` has for it."""
-    text = "\n".join(lines)
-    if "\noptions\n" not in text or not re.search(OF_INPUT, text):
+    """The arguments below `options`, each with its type and the text that a command has for it."""
+    if what != "function" or "options" not in lines or "Parameters" not in lines:
         return
     end = lines.index("", lines.index("options"))
-    for option in reversed(cli.get_command(click.Context(cli), "run").params):
-        if option.name in CHECKS:
-            meaning = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), option.help)
-            lines[end:end] = [f"{option.name} : optional", f"    {_no_markup(meaning)}"]
+    own = {entry.strip() for line in lines[:end] for entry in line.partition(" : ")[0].split(",")}
+    texts = _option_texts("run") | _option_texts("live") | _option_texts(name.rpartition(".")[2])
+    for one in inspect.signature(of).parameters.values():
+        if one.name not in own and one.kind is one.KEYWORD_ONLY and one.name in texts:
+            types = re.sub(r"(\w+\.)+", "", inspect.formatannotation(one.annotation)).strip("'")
+            words = types.replace(" | None", "").replace(" | ", " or ")
+            meaning = re.sub(r"--([a-z-]+)", lambda f: f[1].replace("-", "_"), texts[one.name])
+            lines[end:end] = [f"{one.name} : {words}, optional", f"    {_no_markup(meaning)}"]
+            end += 2
+
+
+def _short_defaults(
+    app: Any, what: str, name: str, of: Any, how: Any, given: str | None, back: Any
+) -> Any:
+    """A signature with the bare name of a function or a class that is a default."""
+    default = r"<(?:function|class) '?(?:\w+\.)*(\w+)[^>]*>"
+    return given and re.sub(default, r"\1", given), back
 
 
 def _for_the_site(app: Any, name: str, source: list[str]) -> None:
@@ -147,17 +176,8 @@ def _for_the_site(app: Any, name: str, source: list[str]) -> None:
         source[0] = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
         source[0] = source[0].replace("](docs/", "](")
     source[0] = re.sub(r"\]\(\.\./sample_videos/(?=\w+\.ipynb)", "](notebooks/", source[0])
-    if name == "questions":
-        source[0] = re.sub(r"^## (.+)", _with_names, source[0], flags=re.M)
     if name == "index":  # the sidebar has the pages that each section links to
         source[0] = re.sub(r"^## (.+)\n(?:(?!## ).*\n)+", _with_toctree, source[0], flags=re.M)
-
-
-def _with_names(heading: re.Match) -> str:
-    """A heading below an index of the names in it, such as OSD, which the search finds first."""
-    names = re.findall(r"\b(?!Which|Where|What|How)[A-Z]\w{2,}", heading[1])
-    index = ", ".join(f"! {name}" for name in names)
-    return f"```{{index}} {index}\n```\n\n{heading[0]}" if names else heading[0]
 
 
 def _with_toctree(section: re.Match) -> str:
@@ -173,6 +193,7 @@ def setup(app: Any) -> None:
     app.connect("missing-reference", _as_code)
     app.connect("source-read", _for_the_site)
     app.connect("autodoc-process-docstring", _spell_options, priority=100)
+    app.connect("autodoc-process-signature", _short_defaults)
     app.connect("sphinx-click-process-description", _with_examples)
     for part in ("options", "arguments"):  # the sections and the usage have these
         app.connect(f"sphinx-click-process-{part}", lambda app, ctx, lines: lines.clear())

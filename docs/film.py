@@ -1,4 +1,4 @@
-"""Film the flight of the README: `python docs/film.py`; it needs `pip install 'dlgmd[lab]'`.
+"""Film the flight of the README: `python docs/film.py`; it needs `pip install '.[lab]'`.
 
 `dlgmd lab fly --manner hit --environment outdoors --target person --speed 2 --seed 7 --with flight`
 makes the film; its images become those of a GIF, narrower, fewer and with fewer colours.

@@ -54,7 +54,7 @@ def approach(rule="ttc", n=60, contact_s=5.0):
     left_s = contact_s - result.time_s
     result.rows["ttc_s"] = np.where((left_s > 0.0) & (left_s < 4.0), left_s, NAN)
     result.rows["expansion"] = np.nan_to_num(1.0 / result.ttc_s)
-    result.rows["expansion_across"] = result.expansion
+    result.rows["expansion_upright"] = result.expansion
     result.rows["expansion_quality"] = 1.0
     result.record["input"]["contact_s"] = contact_s
     record = {**result.record, **params.to_dict()}

@@ -56,7 +56,7 @@ def model_setups(
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
+    help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs the extra cluster.",
 )
 def batch(folders: tuple[str, ...], **arguments: Any) -> None:
     """Run models over every video in folders.

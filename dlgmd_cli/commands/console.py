@@ -538,6 +538,7 @@ def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Call
         return
     from rich import progress as bars
     from rich.console import Console
+    from rich.table import Column
     from rich.text import Text
 
     class Rate(bars.ProgressColumn):
@@ -547,14 +548,17 @@ def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Call
             speed = task.finished_speed or task.speed
             return Text(f"{speed:.{0 if speed >= 10 else 1}f} {unit}/s" if speed else f"– {unit}/s")
 
+    console = Console(stderr=True)
+    # In a narrow terminal, a long name is cut, and the bar stays on its line.
+    shortened = Column(no_wrap=True, max_width=max(12, console.width // 3))
     columns = (
-        bars.TextColumn("{task.description}", markup=False),
+        bars.TextColumn("{task.description}", markup=False, table_column=shortened),
         bars.BarColumn(),
         bars.MofNCompleteColumn(),
-        Rate(),
+        Rate(table_column=Column(no_wrap=True)),
         bars.TimeRemainingColumn(),
     )
-    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as display:
+    with bars.Progress(*columns, console=console, transient=True) as display:
         task = display.add_task(printable(name), total=total)
 
         def advance(done: int, text: str | None = None) -> None:

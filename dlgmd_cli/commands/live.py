@@ -79,7 +79,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     metavar="URL",
     help="Send MAVLink's COLLISION, named values and STATUSTEXT to udp://HOST:PORT, to "
     "tcp:HOST:PORT, to serial:///dev/ttyACM0:57600, or, with udpin://[HOST:]PORT, to any program "
-    "that sends to this port; needs dlgmd[live].",
+    "that sends to this port; needs the extra live.",
 )
 @autopilot_option(
     "--mavlink-brake",
@@ -133,7 +133,7 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @receiver_option(
     "--serve",
     metavar="[HOST:]PORT",
-    help="Serve a page with the frames and the curves; needs dlgmd[live]. Without HOST, only "
+    help="Serve a page with the frames and the curves; needs the extra live. Without HOST, only "
     "this machine can open it; with 0.0.0.0, everyone who has the address that is printed.",
 )
 @options.folder_option(

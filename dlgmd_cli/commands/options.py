@@ -469,7 +469,7 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "such as 12, in 16-bit video, images, arrays and bags.  [default: as stated]"),
     "topic": (click.STRING, "NAME", "Topic of the images in a ROS bag or MCAP file; needed if "
         "there are several."),
-    "decoder": (_choice("decoder"), None, "Library that decodes videos; pyav needs dlgmd[fast]. "
+    "decoder": (_choice("decoder"), None, "Library that decodes videos; pyav needs the extra fast. "
         "Images are read by OpenCV, interlaced video by PyAV.  [default: opencv]"),
     "normalise": (_choice("normalise"), None, "Normalised membrane potential (MP) that the spikes "
         "follow: absolute (mp_abs), on a fixed scale; or sequence (mp_seq), the per-video min–max "

@@ -70,7 +70,7 @@ def view(paths: tuple[Path, ...], **arguments: Any) -> None:
 
     Pages need no network. The film shows the input with the active cells of layer G tinted; the
     model is run once more for it. Collisions can be labelled: the browser keeps the labels, and the
-    index writes all labels into one labels.csv. Needs dlgmd[view].
+    index writes all labels into one labels.csv. Needs the extra view.
     """
     from dlgmd_cli.pages import view as task
 

@@ -37,7 +37,7 @@ def lab() -> None:
       dlgmd lab paper                           # the claims of the paper
       dlgmd lab bench                           # speed
 
-    These commands need the extra: pip install 'dlgmd[lab]'.
+    These commands need the extra: pip install '.[lab]' in the clone.
     """
     if find_spec("mujoco") is None:
         with errors_as_one_line():

@@ -56,7 +56,7 @@ MIN_STEP_US, MAX_STEP_US = 1000, 1_000_000
 STACK_BYTES = 1200
 CODE_BYTES, OPERATION_BYTES, EXPANSION_BYTES = 1200, 10, 5700
 # Numbers of the expansion that keep their names in C.
-_OF_GROWTH = ("MAX_RETURN_PX", "RESIDUALS", "LEAST_PX", "OVERLAP")
+_OF_GROWTH = ("MAX_RETURN_PX", "RESIDUALS", "LEAST_PX", "OVERLAP", "LEAST_SPREAD")
 _OF_RATES = ("USUAL_S", "LEAST_S", "ERROR", "LEAST_WEIGHT", "LEAST_RATE")
 # The rules in the C sources; the position of a rule is its number in dlgmd.h.
 C_RULES = ("spikes", "ttc", "expansion")
@@ -251,7 +251,7 @@ class Export(Outcome):
         if expands:
             work = max(work, self._track_bytes())
             # Data about the light of the frames.
-            scalars += 36 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
+            scalars += 40 + (4 * 7 + 2 * 4 * self.height + 2 * 6 * self.height) * evens
         rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         kept = self.n_cells + (4 + 4 * self.height * evens) * expands
@@ -347,6 +347,7 @@ class Export(Outcome):
             "N_AHEAD": str(expansion.N_AHEAD),
             "MIN_POINTS": str(growth.MIN_POINTS),
             "N_STEPS": str(growth.N_STEPS),
+            "N_LEVELS_BACK": str(min(growth.TOP_LEVEL_BACK, len(self.level_whs)) + 1),
             "BESIDE_CDEG": str(round(100.0 * BESIDE_DEG)),
             "ABOVE_CDEG": str(round(100.0 * ABOVE_DEG)),
             "BELOW_CDEG": str(round(100.0 * BELOW_DEG)),
@@ -387,7 +388,7 @@ each member is written before it is read, within the same part.
 # Fields of an answer that are compared with Python, named as in C.
 NUMBERS = (
     *("mp", "mp_abs", "g_x", "g_y"),
-    *("expansion", "expansion_across", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
+    *("expansion", "expansion_upright", "expansion_quality", "ttc_s", "expansion_x", "expansion_y"),
 )
 
 # Shortest side of a frame, in px, whose expansion is measured in C as in Python.

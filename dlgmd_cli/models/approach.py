@@ -12,8 +12,8 @@ import numpy as np
 from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.growth import MIN_POINTS, Points, similarity, tracked, visible
 
-# Least time (s) between compared images. Columns of points: the fewer ones tell flight from rest at
-# little cost.
+# Least time (s) between compared images. Columns of points: the fewer ones tell at little cost
+# whether the camera is at rest, and whether anything moves.
 LEAST_AGE_S, FEW_ACROSS, N_ACROSS = 0.09, 12, 24
 # Points with less than this share of the mean texture are left out: on a blank wall or in the sky,
 # they seem to move without any object.
@@ -66,9 +66,10 @@ def approaching(
         if np.count_nonzero(found) < 2 * MIN_POINTS:
             return NOTHING
         background = similarity(points[found], there[found])
-        if background.scale > STILL_PX or abs(background.slope.real) > STILL_GROWTH:
+        apart = np.abs(background.left) > OUTSIDE * background.scale
+        is_still = background.scale <= STILL_PX and abs(background.slope.real) <= STILL_GROWTH
+        if not is_still or not apart.any():
             return NOTHING
-    apart = np.abs(background.left) > OUTSIDE * background.scale
     group = _largest(cells[found], apart)
     n = np.count_nonzero(group)
     if n < LEAST_POINTS or n < LEAST_SHARE * np.count_nonzero(apart):

@@ -30,6 +30,8 @@ LEAST_S = 0.027
 ERROR = 0.2
 # The mean of rates with less than this share of their full weight is undefined.
 LEAST_WEIGHT = 1e-4
+# After this time (s), an image that looks like a copy counts, too.
+MOST_AGE_S = 0.4
 # Shortest side of an image that is measured, in px.
 LEAST_SIDE = 20
 # Below this rate, in 1/s, there is no time to contact.
@@ -43,11 +45,11 @@ LEAST_QUALITY = 0.35
 class Measured:
     """What `Expansion` measures at a frame; NaN where it cannot measure.
 
-    `expansion` is the mean of the rates across and down. `expansion_quality` is the weight of the
-    rates in this mean, as a share of the weight of exact ones: 1/2 for a standard error of `ERROR`;
-    near 0 on a blank wall, in the dark, and where everything moves too fast. `ttc_s` is
-    1 / `expansion`, or 1 / `approach` if this is less; NaN where neither rate reaches `LEAST_RATE`,
-    or `expansion` has a quality below `LEAST_QUALITY`.
+    `expansion_quality` is the weight of the rates in the mean `expansion`, as a share of the weight
+    of exact ones: 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the dark, and
+    where everything moves too fast. `ttc_s` is 1 / `expansion`, or 1 / `approach` if this is less,
+    minus the mean age of what the rate was measured on; NaN where neither rate reaches
+    `LEAST_RATE`, or `expansion` has a quality below `LEAST_QUALITY`.
     """
 
     expansion: float = column(
@@ -55,10 +57,12 @@ class Measured:
         "expansion rate in the [window](measurements.md#the-window) ahead; negative if the image "
         "shrinks, empty if nothing can be measured",
     )
-    expansion_across: float = column("1/s", "the width's; less than `expansion` over ground")
+    expansion_upright: float = column(
+        "1/s", "the same of what stands upright: less than `expansion` over ground"
+    )
     expansion_quality: float = column(
         "–",
-        "how precise `expansion` is, from 0 to 1; "
+        "how well the window was tracked, from 0 to 1, not how true the rate is; "
         "[1/2](model.md#expansion-rate-and-time-to-contact) for a standard error of 0.2/s",
     )
     ttc_s: float = column(
@@ -78,25 +82,30 @@ class _Mean:
     """
 
     def __init__(self) -> None:
-        self.quality = self._sum = self._across = 0.0
+        self.quality = self._sum = self._upright = self._age = 0.0
 
     def add(self, found: Growth, age_s: float, interval_s: float) -> None:
         """Add a growth over `age_s`; one that could not be measured only ages the others."""
         newest = -math.expm1(-interval_s / TAU_S)
-        weight = rate = across = 0.0
+        weight = rate = upright = 0.0
         if found.rate == found.rate:
             weight = newest * ERROR**2 / (ERROR**2 + (found.error / age_s) ** 2)
-            rate, across = weight * found.rate / age_s, weight * found.across / age_s
+            rate, upright = weight * found.rate / age_s, weight * found.upright / age_s
+        self._age = (1.0 - newest) * (self._age + interval_s * self.quality)
         self.quality += weight - newest * self.quality
         self._sum += rate - newest * self._sum
-        self._across += across - newest * self._across
+        self._upright += upright - newest * self._upright
 
     @property
-    def values(self) -> tuple[float, float]:
-        """The mean rate, and that across; NaN below `LEAST_WEIGHT`."""
+    def values(self) -> tuple[float, float, float]:
+        """The mean rate, that of what stands upright, and the mean age of the rates in s.
+
+        NaN below `LEAST_WEIGHT`.
+        """
         if self.quality <= LEAST_WEIGHT:
-            return math.nan, math.nan
-        return self._sum / self.quality, self._across / self.quality
+            return math.nan, math.nan, math.nan
+        q = self.quality
+        return self._sum / q, self._upright / q, self._age / q
 
 
 class _Image(NamedTuple):
@@ -116,8 +125,10 @@ class Expansion:
         Σ w r / Σ w,  w = exp(-age / τ) E² / (E² + e²),
 
     with the rates r, their standard errors e, `TAU_S` = τ and `ERROR` = E; `expansion_quality` is
-    Σ w / Σ exp(-age / τ), and `expansion_across` is the same mean of the rates across. `approach`
-    is the rate of an object before a camera at rest, from images `LEAST_AGE_S` apart.
+    Σ w / Σ exp(-age / τ), and `expansion_upright` is the same mean of the growth of what stands
+    `upright`. At constant speed, the time to contact was 1 / `expansion` when the rates had their
+    mean age Σ w age / Σ w; `ttc_s` is less by this age. `approach` is the rate of an object before
+    a camera at rest, from images `LEAST_AGE_S` apart.
 
     Parameters
     ----------
@@ -228,12 +239,22 @@ class Expansion:
         return self._earlier[0] if self._earlier else None
 
     def _look_around(self, grey: Grey, step_s: float) -> None:
-        """Measure what approaches a camera at rest, whenever `LEAST_AGE_S` have passed."""
+        """Measure what approaches a camera at rest, whenever `LEAST_AGE_S` have passed.
+
+        A copy of the last image, as a stalled stream shows it, has no time of its own: the next
+        image is measured in its place.
+        """
         self._still_s += step_s
-        if self._still is None or self._still_s >= LEAST_AGE_S:
-            if self._still is not None:
-                growth, self._place = approaching(self._still, grey, self._shown)
-                self._near = growth / self._still_s
+        if self._still is None:
+            self._still, self._still_s = grey, 0.0
+            return
+        share = step_s / self._still_s
+        if self._still_s >= LEAST_AGE_S and (
+            self._still_s >= MOST_AGE_S
+            or not _is_copy(grey, self._earlier[-2].grey, self._still, share)
+        ):
+            growth, self._place = approaching(self._still, grey, self._shown)
+            self._near = growth / self._still_s
             self._still, self._still_s = grey, 0.0
 
     def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
@@ -244,15 +265,20 @@ class Expansion:
 
     def _measured(self, window: Bounds, shape: tuple[int, ...]) -> Measured:
         """The rates, and the shorter time to contact with its place."""
-        (rate, across), quality, near = self._ahead.values, self._ahead.quality, self._near
+        (rate, upright, age_s), quality = self._ahead.values, self._ahead.quality
         left, top, right, bottom = window
         place = (left + right + 1.0) / shape[1] - 1.0, (top + bottom + 1.0) / shape[0] - 1.0
         fastest = rate if quality >= LEAST_QUALITY else 0.0
-        if near > fastest:
+        if self._near > fastest:
             # An object that approaches a camera at rest is measured as a whole.
-            fastest, place = near, self._place
-        ttc_s = 1.0 / fastest if fastest >= LEAST_RATE else math.nan
-        return Measured(rate, across, quality, ttc_s, *place, near)
+            fastest, age_s, place = self._near, self._still_s, self._place
+        ttc_s = max(1.0 / fastest - age_s, 0.0) if fastest >= LEAST_RATE else math.nan
+        return Measured(rate, upright, quality, ttc_s, *place, self._near)
+
+
+def _is_copy(now: Grey, last: Grey, earlier: Grey, share: float) -> bool:
+    """Whether an image has changed since the last one by half of its share of a change or less."""
+    return cv2.norm(now, last, cv2.NORM_L1) <= 0.5 * share * cv2.norm(now, earlier, cv2.NORM_L1)
 
 
 def too_small(size_wh: tuple[int, int]) -> str:

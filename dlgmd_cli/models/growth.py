@@ -15,8 +15,9 @@ from dlgmd_cli.models.windows import Bounds
 # Places in an image, (n, 2) as x and y, in px.
 Points = npt.NDArray[np.float32]
 
-# The tracked patch (width and height in px), and the highest level of the pyramid.
-PATCH_WH, TOP_LEVEL = (13, 13), 3
+# The tracked patch (width and height in px), and the highest level of the pyramid, forward and
+# backward: the way back begins at the point itself, which it reaches if the tracking is right.
+PATCH_WH, TOP_LEVEL, TOP_LEVEL_BACK = (13, 13), 3, 1
 # Least eigenvalue of a patch's gradients, as OpenCV scales it: only patches without any texture
 # are left out, since the residuals of the others say how good they are.
 LEAST_TEXTURE = 1e-5
@@ -28,6 +29,8 @@ MIN_POINTS, N_STEPS, RESIDUALS, LEAST_PX = 6, 4, 1.5, 0.05
 # Neighbouring patches overlap and share their errors: the true error of the growth is this
 # multiple of the standard error that independent points would have.
 OVERLAP = 5.0
+# A row whose points spread less across, in px², has no growth.
+LEAST_SPREAD = 1e-6
 
 
 class Growth(NamedTuple):
@@ -37,14 +40,14 @@ class Growth(NamedTuple):
     ----------
     rate : float
         Growth of the window, as a share of its size; NaN if it cannot be measured.
-    across : float
-        Growth of the window's width alone; `rate` is the mean of those of width and height.
+    upright : float
+        The same without that of level ground, see `upright`.
     error : float
         Estimated standard error of the rate; infinite if the rate cannot be measured.
     """
 
     rate: float = math.nan
-    across: float = math.nan
+    upright: float = math.nan
     error: float = math.inf
 
 
@@ -78,8 +81,59 @@ def growth(before: Grey, now: Grey, points: Points) -> Growth:
     there, found, _ = tracked(before, now, points)
     if np.count_nonzero(found) < MIN_POINTS:
         return Growth()
-    fit = similarity(points[found], there[found])
-    return Growth(fit.slope.real, fit.across, fit.error)
+    points, there = points[found], there[found]
+    fit = similarity(points, there)
+    grown = upright(points, there, fit.weight)
+    return Growth() if math.isnan(grown) else Growth(fit.slope.real, grown, fit.error)
+
+
+def upright(points: Points, there: Points, weight: npt.NDArray[np.float64]) -> float:
+    """The growth of what stands upright: that of a wall, and 0 for ground below a level flight.
+
+    Between two rows of points, ground grows twice as fast down as across, and what is far away
+    does not grow. Here the growth across weights the rows as the growth down weights the changes
+    from row to row, so that twice the one less the other is 0 whatever part of the window the
+    ground fills.
+
+    Parameters
+    ----------
+    points, there : ndarray, shape (n, 2)
+        Places (x, y) of tracked points in two images; the points of a row have the same y, and
+        follow one another.
+    weight : ndarray, shape (n,)
+
+    Returns
+    -------
+    float
+        2 A - D; NaN if all points are in one row, or no row has two points.
+
+    Notes
+    -----
+    With the moves u and v, the growth down is D = Σw(y - ȳ)v / Σw(y - ȳ)². This is a mean of the
+    changes of v from row k to the next one, with the weights W_k = Σw(y - ȳ) over the rows below.
+    The growth across is the mean of those of the rows, A_k = Σw(x - x̄_k)u / Σw(x - x̄_k)², with
+    the weights W_{k-1} (y_k - y_{k-1}) + W_k (y_{k+1} - y_k).
+    """
+    x, y = np.float64(points).T
+    u, v = np.float64(there).T - (x, y)
+    first = np.flatnonzero(np.concatenate(((True,), y[1:] > y[:-1])))
+    terms = weight * np.array((np.ones(len(x)), x, y, u, v, x * x, x * u))
+    rows = np.add.reduceat(terms, first, axis=1).T.tolist()
+    middle = sum(row[2] for row in rows) / sum(row[0] for row in rows)
+    moment = down = above = total = across = 0.0
+    last_y = last_growth = 0.0
+    had_growth = False
+    for n, sum_x, sum_y, sum_u, sum_v, sum_xx, sum_xu in rows:
+        level, spread = sum_y / n - middle, sum_xx - sum_x**2 / n
+        has_growth = spread > LEAST_SPREAD
+        growth_across = (sum_xu - sum_x * sum_u / n) / spread if has_growth else 0.0
+        # The sum over the rows below is minus that over those above; 0 before the first row.
+        share = -above * (level - last_y)
+        across += share * (growth_across + last_growth)
+        total += share * (has_growth + had_growth)
+        above, moment, down = above + n * level, moment + n * level**2, down + level * sum_v
+        last_y, last_growth, had_growth = level, growth_across, has_growth
+    return 2.0 * across / total - down / moment if total > 0.0 else math.nan
 
 
 def tracked(
@@ -97,15 +151,13 @@ def tracked(
     """
     if not len(points):
         return points, np.zeros(0, np.bool_), np.zeros(0, np.float32)
-    track = partial(
-        cv2.calcOpticalFlowPyrLK,
-        winSize=PATCH_WH,
-        maxLevel=TOP_LEVEL,
-        flags=cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
-        minEigThreshold=LEAST_TEXTURE,
+    track = partial(cv2.calcOpticalFlowPyrLK, winSize=PATCH_WH, minEigThreshold=LEAST_TEXTURE)
+    flags = cv2.OPTFLOW_LK_GET_MIN_EIGENVALS
+    there, reached, texture = track(before, now, points, None, maxLevel=TOP_LEVEL, flags=flags)
+    flags |= cv2.OPTFLOW_USE_INITIAL_FLOW
+    back, returned, _ = track(
+        now, before, there, points.copy(), maxLevel=TOP_LEVEL_BACK, flags=flags
     )
-    there, reached, texture = track(before, now, points, None)
-    back, returned, _ = track(now, before, there, None)
     x, y = np.asarray(back - points, np.float32).T
     returns = x * x + y * y < MAX_RETURN_PX**2
     found = (np.asarray(reached) & np.asarray(returned)).ravel() > 0
@@ -121,8 +173,8 @@ class Similarity(NamedTuple):
         Growth and, as the imaginary part, turn.
     shift : complex
         Shift of the mean of the places.
-    across : float
-        Growth across alone.
+    weight : ndarray, shape (n,)
+        Weight of each point.
     error : float
         Standard error of the growth.
     places, left : ndarray, shape (n,), complex128
@@ -133,7 +185,7 @@ class Similarity(NamedTuple):
 
     slope: complex
     shift: complex
-    across: float
+    weight: npt.NDArray[np.float64]
     error: float
     places: npt.NDArray[np.complex128]
     left: npt.NDArray[np.complex128]
@@ -151,8 +203,8 @@ def similarity(points: Points, there: Points) -> Similarity:
 
         (g + ir) (Σw|z|² - |Σwz|²/Σw) = Σwz*d - (Σwz)* Σwd/Σw,  s = (Σwd - (g + ir) Σwz)/Σw.
 
-    With the residuals ρ and the factor M of g + ir, the growth across is g + Re Σwzρ / M, and the
-    standard error of g is `OVERLAP` times √(Σ(wρ)² / (2 Σw M)).
+    With the residuals ρ and the factor M of g + ir, the standard error of g is `OVERLAP` times
+    √(Σ(wρ)² / (2 Σw M)).
     """
     places = _complex(points)
     moves = _complex(there) - places
@@ -171,13 +223,12 @@ def similarity(points: Points, there: Points) -> Similarity:
         slope = (complex(grown, turn) - total * place.conjugate() * shift) / moment
         shift -= slope * place
         left = moves - slope * places - shift
-        across = slope.real + float((weight * places @ left).real) / moment
         rest = np.abs(left)
         scale = RESIDUALS * median(rest.tolist()) + LEAST_PX
         weight = 1.0 / (1.0 + (rest / scale) ** 2)
     squares = float(weight**2 @ rest**2)
     error = OVERLAP * math.sqrt(squares / (2.0 * float(weight.sum()) * moment))
-    return Similarity(slope, shift, across, error, places, left, scale)
+    return Similarity(slope, shift, weight, error, places, left, scale)
 
 
 def _complex(points: Points) -> npt.NDArray[np.complex128]:

@@ -31,8 +31,8 @@ GROUND, QUALITY, APPROACH = "ground", "quality", "approach"
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The rate of what stands ahead, times the true time to contact: median of 48 rendered collisions.
-RATE_TIMES_TIME = 0.64
+# The rate of what stands ahead, times the true time to contact: median of 66 rendered collisions.
+RATE_TIMES_TIME = 0.52
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -316,10 +316,9 @@ class Ttc(Rule, name="ttc"):
 class Ahead(Rule, name="expansion"):
     """An alarm while what stands ahead expands at `expansion_alarm` or more.
 
-    The rate of what stands ahead is the lesser of E and 3 A - 2 E, with the expansion E and its
-    rate across A. It is E for a wall, and 0 for level ground below a level flight, which grows
-    twice as fast down as across: A = 2/3 E. Below `LEAST_QUALITY`, the rate counts in proportion
-    to the quality. An object that approaches a camera at rest has the same threshold.
+    The rate of what stands ahead is the lesser of the expansion and that of what stands upright,
+    which leaves out level ground. Below `LEAST_QUALITY`, the rate counts in proportion to the
+    quality. An object that approaches a camera at rest has the same threshold.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
@@ -341,8 +340,8 @@ class Ahead(Rule, name="expansion"):
 
     @staticmethod
     def _rate_ahead(row: Detection) -> float:
-        """The lesser of E and 3 A - 2 E, see the class."""
-        return min(row.expansion, 3.0 * row.expansion_across - 2.0 * row.expansion)
+        """The lesser of the two rates, see the class."""
+        return min(row.expansion, row.expansion_upright)
 
     @staticmethod
     def as_time(value: float) -> float:

@@ -11,6 +11,7 @@ from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from dlgmd_cli.errors import (
+    INSTALL_EXTRA,
     DlgmdError,
     SourceError,
     argument,
@@ -106,7 +107,7 @@ def write_page(
         subject = replace(subject, results=tuple(until))
     no_film = f"{argument('no_film')} was given." if request.no_film else ""
     if not no_film and best_codec() != "h264":
-        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        no_film = f"PyAV is not installed. {INSTALL_EXTRA.format('view')}."
         warn(f"{subject.name}: no film: {no_film.rstrip('.')}")
     parts = []
     for each in subject.results:

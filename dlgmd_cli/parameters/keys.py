@@ -93,7 +93,7 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", f"rule that raises alarms: {', '.join(RULES)}"),
     "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
-    "expansion_alarm": (0.48, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 10),
+    "expansion_alarm": (0.47, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 10),
 }
 
 
@@ -109,7 +109,7 @@ class Parameters:
 
     Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
     `alarm`, `ttc_alarm` or `expansion_alarm` gets the missing key with the default 0.4, 2, 0.01,
-    ``"spikes"``, 1.25 or 0.48.
+    ``"spikes"``, 1.25 or 0.47.
 
     Attributes
     ----------

@@ -1,11 +1,14 @@
 """`Outcome`: the result of a task; saving, drawing and showing, common to all outcomes."""
 
 import os
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from html import escape
 from importlib import import_module
 from inspect import signature
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -31,6 +34,18 @@ def drawn_by(where: str) -> Callable[..., Any]:
     """
     module, _, name = where.partition(".")
     return getattr(import_module(f"dlgmd_cli.plots.{module}"), name)
+
+
+def as_html(items: Iterable[Shown], figure: "Figure") -> str:
+    """The tables that a terminal shows, and a figure, for a notebook."""
+    parts = []
+    for _, rows in (item for item in items if isinstance(item, tuple)):
+        cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+        parts.append(f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>")
+    image = BytesIO()
+    figure.savefig(image, format="png", dpi=100)
+    encoded = b64encode(image.getvalue()).decode("ascii")
+    return "".join([*parts, f'<img alt="" src="data:image/png;base64,{encoded}">'])
 
 
 class Outcome:

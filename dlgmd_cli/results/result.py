@@ -28,7 +28,7 @@ from dlgmd_cli.results.annotations import PLOT_ARGUMENTS
 from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.judging import judged
 from dlgmd_cli.results.names import frames_text, recorded_name
-from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.outcome import Outcome, Shown, as_html, drawn_by
 from dlgmd_cli.results.record import record_text
 
 if TYPE_CHECKING:
@@ -110,6 +110,10 @@ class Result(Outcome):
         what = f"{PurePath(path).name or self.name}: {counted(len(self), 'frame')}"
         warned = f", {counted(len(self.warnings), 'warning')}" if self.warnings else ""
         return f"<Result {what}, {self.label}, {says}{warned}>"
+
+    def _repr_html_(self) -> str:
+        """The summary and the main figure: what a notebook shows of a result by itself."""
+        return as_html(self.shown(), self.plot())
 
     @property
     def name(self) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import (
+    INSTALL_EXTRA,
     DlgmdError,
     MissingExtraError,
     OutputError,
@@ -81,7 +82,7 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
         return UPath(url.rstrip("/"))
     except ImportError as error:
         why = f"URLs of this kind cannot be used ({error})"
-        hint = "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL."
+        hint = f"{INSTALL_EXTRA.format('cluster')}, and install the package of that kind of URL."
         raise MissingExtraError(url, why, hint) from None
     except ValueError:
         kind = url.partition("://")[0]

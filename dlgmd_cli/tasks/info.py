@@ -191,7 +191,7 @@ def _rows(facts: Survey) -> list[tuple[str, str]]:
     if facts.pixel_format:
         codec += f", {facts.pixel_format}, {facts.bits} bits"
     elif facts.fps_stated is not None and facts.decoder == "opencv":
-        codec += " (FOURCC; the package 'av' of dlgmd[fast] would say more)"
+        codec += " (FOURCC; the package 'av' of the extra fast would say more)"
     interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
     repeats = "none"
     if facts.repeats:

@@ -61,7 +61,7 @@ def run(
     param : mapping, optional
         Single parameters to override in all models, such as ``{"r": 4}``.
     formulation : str, optional
-        The version of the D-LGMD, see `dlgmd run --help`.
+        The version of the D-LGMD: ``"default"``, ``"equations"``, ``"released-2021"``.
     out : str or path, optional
         Write the files of `dlgmd run` into ``out/NAME``, for one model, with figures in `formats`
         (PNG with `dpi`) and captions of the alarms (``"vtt"``); `overwrite` replaces an
@@ -71,12 +71,8 @@ def run(
     progress
         As in `batch`.
     options
-        `scale`, `size`, `fps`, `repeats`, `input_fps`, `times`, `bit_depth`, `decoder`, `start`,
-        `end` (seconds), `crop`, `mask`, `normalise` and `hashed`, see `dlgmd run --help`. `alarm`:
-        the rule, a name, a subclass of `Rule` or ``"package.module:Class"``. `threshold`: the
-        rule's threshold. Both are for `batch`, `compare`, `evaluate`, `calibrate` and `layers`,
-        too. `speed_m_s`: a threshold in time for a stop from this speed by `brake`
-        (``"arducopter:20"`` unless given), see `dlgmd run --help`.
+        Options of the input and of the rule, named as those of `dlgmd run`. `alarm` may also be a
+        subclass of `Rule`. With `hashed`, the record has the SHA-256 of an input of any size.
 
     Returns
     -------

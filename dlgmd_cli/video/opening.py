@@ -54,7 +54,7 @@ Openable = str | os.PathLike[str] | Iterable[Any]
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _GREY = (
     "the frames are grey, and their black is taken for 0; "
-    "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
+    "with PyAV (the extra fast) it is what the video states"
 )
 _INTERLACED = "it is interlaced"
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
@@ -135,8 +135,8 @@ def open_video(
         or arrays: white of uint16 is 2**bit_depth - 1. Unless given, those that the input states,
         with a warning if all samples of 16 bits are far below white.
     decoder : {"opencv", "pyav"}
-        Decoder for videos. Images are always read by OpenCV. PyAV, which comes with
-        ``dlgmd[fast]``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
+        Decoder for videos. Images are always read by OpenCV. PyAV, which comes with the
+        extra ``fast``, reads what OpenCV would read wrongly: interlaced video (de-interlaced),
         codecs that OpenCV lacks, HDR, 16 bits, grey video whose black is not 0, files whose default
         video stream is not the first, and whatever has a `bit_depth`.
     crop : str, optional

@@ -234,8 +234,7 @@ def live(
     watching : callable, optional
         Called with a `Watching`; returns a context around the watch.
     options
-        The options of `dlgmd live`, see `LiveOptions`; `size`, `fps`, `crop`, `mask`, `fov`,
-        `camera_tilt` and `alarm`, as in `run`.
+        Options of the input, the rule and the receivers, named as those of `dlgmd live`.
 
     Returns
     -------

@@ -133,6 +133,7 @@ class TestScripts:
         assert all(60 <= script.fov_deg <= 120 for script in scripts)
         assert all(1.0 <= s.speed_m_s <= 3.0 for s in scripts if s.name != "climb")
         given = script_of(Options("hit", 0, speed_m_s=2.5, fov=90.0))
+        assert {leg.climb_m_s for leg in script_of(Options("free", 3, height_m=0.7)).legs} == {0.0}
         assert (given.speed_m_s, given.fov_deg) == (2.5, 90.0)
 
     @pytest.mark.parametrize("environment", ["indoors", "outdoors"])
@@ -338,11 +339,11 @@ class TestCommand:
 
 def test_without_mujoco_a_line_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[lab\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[lab\]'"):
         fly("hit")
     done = lab_fly("--out", tmp_path / "x")
     assert done.exit_code == 1
-    assert "dlgmd[lab]" in done.output
+    assert "'.[lab]'" in done.output
 
 
 def test_without_opengl_a_line_names_the_packages():

@@ -36,7 +36,7 @@ def normal_equations(points, moves, weights):
 
 
 def fitted(points, there, *, n_steps, residuals, least_px, overlap):
-    """Growth, growth across, standard error, and the shift of the mean of the points, x and y."""
+    """Growth, its standard error, the shift of the mean of the points, x and y; the weights."""
     points = [(float(x), float(y)) for x, y in points]
     moves = [(float(x) - a, float(y) - b) for (x, y), (a, b) in zip(there, points, strict=True)]
     weights = [1.0] * len(points)
@@ -45,12 +45,10 @@ def fitted(points, there, *, n_steps, residuals, least_px, overlap):
         total = sum(weights)
         middle_x = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / total
         middle_y = sum(w * y for w, (_, y) in zip(weights, points, strict=True)) / total
-        moment = stretch = 0.0
-        rest = []
+        moment, rest = 0.0, []
         for w, (x, y), (dx, dy) in zip(weights, points, moves, strict=True):
             moment += w * ((x - middle_x) ** 2 + (y - middle_y) ** 2)
             left_x, left_y = dx - a - growth * x + turn * y, dy - b - growth * y - turn * x
-            stretch += w * ((x - middle_x) * left_x - (y - middle_y) * left_y)
             rest.append(math.hypot(left_x, left_y))
         scale = residuals * median(rest) + least_px
         weights = [1.0 / (1.0 + (one / scale) ** 2) for one in rest]
@@ -59,7 +57,36 @@ def fitted(points, there, *, n_steps, residuals, least_px, overlap):
     mean_x = sum(x for x, _ in points) / len(points)
     mean_y = sum(y for _, y in points) / len(points)
     shift_x, shift_y = a + growth * mean_x - turn * mean_y, b + growth * mean_y + turn * mean_x
-    return growth, growth + stretch / moment, error, shift_x, shift_y
+    return growth, error, shift_x, shift_y, weights
+
+
+def line(places, moves, weights):
+    """The slope of a straight line through moves over places, by weighted least squares."""
+    total = sum(weights)
+    middle = sum(w * p for w, p in zip(weights, places, strict=True)) / total
+    pairs = list(zip(places, moves, weights, strict=True))
+    moment = sum(w * (p - middle) ** 2 for p, _, w in pairs)
+    return sum(w * (p - middle) * m for p, m, w in pairs) / moment
+
+
+def upright(points, there, weights):
+    """Twice the growth across less the growth down, each weighted from row to row alike."""
+    xs, ys = [float(x) for x, _ in points], [float(y) for _, y in points]
+    us = [float(x) - a for (x, _), a in zip(there, xs, strict=True)]
+    vs = [float(y) - b for (_, y), b in zip(there, ys, strict=True)]
+    middle = sum(w * y for w, y in zip(weights, ys, strict=True)) / sum(weights)
+    rows, across, shares = sorted(set(ys)), [], []
+    for y in rows:
+        at = [k for k in range(len(ys)) if ys[k] == y]
+        across.append(line([xs[k] for k in at], [us[k] for k in at], [weights[k] for k in at]))
+        below = [k for k in range(len(ys)) if ys[k] > y]
+        shares.append(sum(weights[k] * (ys[k] - middle) for k in below))
+    total = mean = 0.0
+    for k in range(len(rows) - 1):  # from one row to the next, the mean of the growths of both
+        share = shares[k] * (rows[k + 1] - rows[k])
+        total += share
+        mean += share * (across[k] + across[k + 1]) / 2.0
+    return 2.0 * mean / total - line(ys, vs, weights)
 
 
 def middles(width, height, n_across):

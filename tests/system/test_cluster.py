@@ -168,7 +168,7 @@ def test_nobody_answers_and_dask_is_missing(dlgmd, folder, monkeypatch):
     assert result.exit_code == 1 and "no Dask scheduler answered within 0.5 s" in result.stderr
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = dlgmd(*command)
-    assert result.exit_code == 1 and "pip install 'dlgmd[cluster]'" in result.stderr
+    assert result.exit_code == 1 and "pip install '.[cluster]'" in result.stderr
 
 
 @contextmanager

@@ -302,7 +302,7 @@ def test_the_film_of_a_flight_shows_the_signal():
 
     rows = [(t / 10, 5.0, 1.0, 0.1 * t, 0.05 * t, 0.01 * t, 0) for t in range(30)]
     loops = {"without": Loop([], rows, contact_s=2.5), "with": Loop([], rows, alarm_s=2.0)}
-    for threshold, column in ((0.48, 4), (None, 3)):
+    for threshold, column in ((0.47, 4), (None, 3)):
         expansion, potential = curves = [*Figure().subplots(2, 1)]
         _draw_curves(curves, loops, threshold)
         thick = [line for line in expansion.lines if line.get_linewidth() == 4]

@@ -114,7 +114,7 @@ def test_the_example_prints_csv(runs, tmp_path):
     make(tmp_path / "x", QUICK)
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
     assert printed[:3] == [
-        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_across,expansion_quality,"
+        "frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_upright,expansion_quality,"
         "ttc_s,expansion_x,expansion_y,blind",
         "0,,,0,0,spikes,,,,,,,,,",
         "1,,,0,0,spikes,,,,,,,,,",

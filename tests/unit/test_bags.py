@@ -281,5 +281,5 @@ def test_the_command(runs, written, tmp_path):
 
 def test_the_package_is_named_where_it_is_missing(monkeypatch, written):
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[ros\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[ros\]'"):
         run(written[".bag"])

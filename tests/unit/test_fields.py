@@ -109,7 +109,7 @@ def test_the_record_and_info_say_so(dlgmd, runs, unflagged, tmp_path):
     assert source["decoder"] == "opencv" and "deinterlaced" not in source
 
 
-INSTALL = "and the package 'av' is not installed. Install it with: pip install 'dlgmd[fast]'."
+INSTALL = "and the package 'av' is not installed. Install it from the clone: pip install '.[fast]'."
 
 
 def test_without_pyav_it_is_refused(dlgmd, unflagged, monkeypatch):

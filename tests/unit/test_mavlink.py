@@ -815,9 +815,9 @@ def test_px4_is_not_asked(link, clock):
 @pytest.mark.parametrize(
     ("jerk", "speed_m_s", "is_armed", "cure"),
     [
-        (5.0, 3.0, True, "set PSC_JERK_XY to 10, which"),
-        (5.0, 5.0, True, "set PSC_JERK_XY to 15, which"),
-        (None, 3.0, True, "set PSC_JERK_XY to 10, which"),
+        (5.0, 3.0, True, "set PSC_JERK_XY to 15, which"),
+        (5.0, 5.0, True, "set PSC_JERK_XY to 20, which"),
+        (None, 3.0, True, "set PSC_JERK_XY to 15, which"),
         (20.0, 3.0, True, None),
         (5.0, 3.0, False, None),
         (5.0, 0.2, True, None),
@@ -838,7 +838,7 @@ def test_an_alarm_that_is_too_late_is_warned_of(
     lines = [line for line in caplog.messages if "is too late for a stop" in line]
     assert len(lines) == (cure is not None)
     for line in lines:
-        assert f"at {speed_m_s} m/s, expansion_alarm 0.48" in line and cure in line
+        assert f"at {speed_m_s} m/s, expansion_alarm 0.47" in line and cure in line
         assert "false alarms" in line
 
 

@@ -295,7 +295,8 @@ def test_a_package_that_is_not_installed_is_named_with_its_extra(
     monkeypatch.setitem(sys.modules, package, None)
     code, error = refused(line)
     name = package.removesuffix(".offline")
-    why = f"the package '{name}' is not installed. Install it with: pip install 'dlgmd[{extra}"
+    hint = f"Install it from the clone: pip install '.[{extra}"
+    why = f"the package '{name}' is not installed. {hint}"
     assert code == 1 and why in error
 
 

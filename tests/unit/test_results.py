@@ -165,7 +165,7 @@ def test_the_longest_stretch_that_is_held_back_is_told():
     result.rows["expansion"][14:20], result.rows["expansion"][30:45] = 2.0, 3.0  # 0.2 s, 0.56 s
     result.rows["expansion"][50:60] = 2.0
     result.rows["expansion_quality"][[50, 51, 52, 59]] = 1.0  # an alarm with a pause
-    result.rows["expansion_across"], result.rows["approach"] = result.expansion, 0.0
+    result.rows["expansion_upright"], result.rows["approach"] = result.expansion, 0.0
     result = replace(result, params=replace(result.params, alarm="expansion"))
     held = judged_anew(result)
     assert held.alarm_spans.tolist() == [[50, 59]] and not held.alarms[53:59].any()
@@ -174,6 +174,12 @@ def test_the_longest_stretch_that_is_held_back_is_told():
     assert dict(rows)["no alarm"] == (
         "1.200 to 1.760 s, expansion up to 3.00/s, held back by quality (and 1 more)"
     )
+
+
+def test_a_notebook_shows_a_result_as_a_table_and_a_figure():
+    shown = result_of_level(np.array([NAN, NAN, 0.1, 0.5, 0.6]))._repr_html_()
+    assert "<td>alarm rule</td>" in shown and "<td>spikes</td>" in shown
+    assert 'src="data:image/png;base64,iVBOR' in shown
 
 
 def test_sharpness_and_distinguishability():
@@ -254,7 +260,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     assert table["alarm"].tolist() == [False, False, True]
     assert {*table.columns} == csv.KNOWN
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[pandas\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[pandas\]'"):
         result.to_dataframe()
 
 

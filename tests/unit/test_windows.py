@@ -97,7 +97,7 @@ def test_an_alarm_has_a_camera_and_a_heading():
 
 def ahead(rate, quality=1.0, **more):
     """The row of a frame whose image expands at a rate, in all directions unless told otherwise."""
-    usual = {"expansion_across": rate, "approach": 0.0}
+    usual = {"expansion_upright": rate, "approach": 0.0}
     return Detection(expansion=rate, expansion_quality=quality, **usual | more)
 
 
@@ -124,12 +124,12 @@ def test_what_grows_twice_as_fast_down_as_across_is_ground():
     """A plane ahead counts in full, a pole too, which grows across alone; ground not at all."""
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
     rates = [(1.0, 1.0), (2.0, 0.0), (1.0, 2.0), (1.0, 3.0)]  # across, down
-    rows = [rule.step(ahead((a + d) / 2.0, expansion_across=a)) for a, d in rates]
+    rows = [rule.step(ahead((a + d) / 2.0, expansion_upright=2 * a - d)) for a, d in rates]
     assert [row.signal for row in rows] == pytest.approx([1.0, 1.0, 0.0, 0.0])
     assert [row.signal_limit for row in rows] == ["", "", "ground", "ground"]
     # Of two causes, the one that takes more is named: ground leaves 0.4 of the rate.
     shares = (0.3, 0.5)
-    rows = [rule.step(ahead(1.0, LEAST_QUALITY * one, expansion_across=0.8)) for one in shares]
+    rows = [rule.step(ahead(1.0, LEAST_QUALITY * one, expansion_upright=0.4)) for one in shares]
     assert [row.signal_limit for row in rows] == ["quality", "ground"]
 
 

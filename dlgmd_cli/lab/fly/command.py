@@ -42,6 +42,13 @@ from dlgmd_cli.lab.fly.worlds import ENVIRONMENTS
     help="Speed of the drone; of the object, if the drone hovers.  [default: 1 to 3, by the seed]",
 )
 @click.option(
+    "--height",
+    "height_m",
+    type=options.numeric(low=0.3, high=5),
+    metavar="M",
+    help="Height of the drone, which does not climb.  [default: 0.8 to 1.8, by the seed]",
+)
+@click.option(
     "--fov",
     type=options.numeric(low=20, high=150),
     metavar="DEG",

@@ -39,6 +39,8 @@ class Options:
     environment, target : str, optional
     speed_m_s : float, optional
         Of the drone, or of what comes while it hovers.
+    height_m : float, optional
+        Of a flight that does not climb.
     fov, camera_tilt : float
         Angles of the camera in degrees; `fov` may be None.
     agile : bool
@@ -54,6 +56,7 @@ class Options:
     environment: str | None = None
     target: str | None = None
     speed_m_s: float | None = None
+    height_m: float | None = None
     fov: float | None = None
     camera_tilt: float = 0.0
     agile: bool = False
@@ -379,6 +382,9 @@ def script_of(options: Options) -> Script:
         script = _drawn(options)
         drawn = np.random.default_rng([options.seed, 4]).uniform(*FOV_DEG)
         fov = round(float(drawn), 1) if fov is None else fov
+    if options.height_m is not None:
+        legs = tuple(replace(leg, climb_m_s=0.0) for leg in script.legs)
+        script = replace(script, legs=legs, height_m=options.height_m)
     return replace(
         script,
         meets_s=round(script.meets_s * options.fps) / options.fps,

@@ -38,7 +38,7 @@ LEAST_M, MOST_M_S = 0.05, 2.0
 # Truth below STILL (1/s) counts as 0; the ranges of true rates in the table, in 1/s.
 STILL, RANGES = 0.05, ((0.3, 0.8), (0.8, 1.5))
 # An alarm needs this rate, in 1/s, and counts it in full from this quality on.
-QUALITY, ALARM = 0.35, 0.48
+QUALITY, ALARM = 0.35, 0.47
 # An oracle announces a contact up to this many seconds before the closest approach.
 ORACLE_S = 3.0
 MODELS = ("flight", 3, 6, 9)

@@ -27,7 +27,7 @@ def without_contact() -> list[str]:
     return found
 
 
-THRESHOLDS = (0.30, 0.36, 0.42, 0.48, 0.54, 0.60)
+THRESHOLDS = (0.30, 0.35, 0.40, 0.47, 0.54, 0.60)
 
 
 def real() -> str:

@@ -47,7 +47,7 @@ def paper(
     verdict; OUT/claims.csv, one row per claim, version of the model and seed; and every figure as
     PNG and PDF. A version is a reading of the text or of one of the authors' two codes; each claim
     is checked under all of them, and without inhibition. The flights need MuJoCo, the report
-    Jinja2: 'dlgmd[lab]' has both.
+    Jinja2; the extra '.[lab]' has both.
 
     OUT/responses keeps what the models gave, so that an interrupted run goes on where it was.
 

@@ -197,7 +197,7 @@ typedef struct {
 
 /* The change of a window between two images. */
 typedef struct {
-    float rate, across; /* its growth, and that of its width */
+    float rate, upright; /* its growth, and that of what stands upright */
     float variance;     /* the square of the error of the growth */
 } growth;
 
@@ -530,14 +530,13 @@ static bool follow_level(dlgmd_track *track, const image *from, const image *to,
     return is_near(corner_of(*there), to);
 }
 
-/* Where a point of one image is in the other one; false if it is lost. */
-static bool follow(dlgmd_track *track, const image *from, const image *to, dlgmd_place start,
-                   dlgmd_place *there)
+/* Where a point of one image is in the other one, from a guess on; false if it is lost. */
+static bool follow(dlgmd_track *track, const image *from, const image *to, int n_levels,
+                   dlgmd_place start, dlgmd_place *there)
 {
     bool is_found = false;
-    for (int i = N_LEVELS - 1; i >= 0; i--) {
-        const float unit = 1.0f / (float)(1 << i), twice = i < N_LEVELS - 1 ? 2.0f : unit;
-        *there = i < N_LEVELS - 1 ? *there : start;
+    for (int i = n_levels - 1; i >= 0; i--) {
+        const float unit = 1.0f / (float)(1 << i), twice = i < n_levels - 1 ? 2.0f : unit;
         there->x *= twice;
         there->y *= twice;
         dlgmd_place here = {start.x * unit, start.y * unit};
@@ -555,10 +554,10 @@ static int follow_all(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window 
         float right = (float)(i % n) / (float)(n - 1), down = (float)(i / n) / (float)(n - 1);
         dlgmd_place start = {window.left + right * (window.right - window.left),
                              window.top + down * (window.bottom - window.top)};
-        dlgmd_place there, back;
+        dlgmd_place there = start, back = start;
         if (start.x >= 1.5f && start.x < WIDTH - 2.5f && start.y >= 1.5f &&
-            start.y < HEIGHT - 2.5f && follow(track, pair[0], pair[1], start, &there) &&
-            follow(track, pair[1], pair[0], there, &back) &&
+            start.y < HEIGHT - 2.5f && follow(track, pair[0], pair[1], N_LEVELS, start, &there) &&
+            follow(track, pair[1], pair[0], N_LEVELS_BACK, there, &back) &&
             square(back.x - start.x) + square(back.y - start.y) < square(MAX_RETURN_PX)) {
             track->places[n_found] = start;
             track->moves[n_found] = (dlgmd_place){there.x - start.x, there.y - start.y};
@@ -617,15 +616,13 @@ static growth fit(dlgmd_track *track, int n)
         }
         moment = moment > 1e-9f ? moment : 1e-9f;
         found.rate = grown / moment;
-        float turn = turned / moment, stretched = 0.0f;
+        float turn = turned / moment;
         for (int i = 0; i < n; i++) {
             float x = track->places[i].x - middle.x, y = track->places[i].y - middle.y;
             float dx = track->moves[i].x - shift.x - found.rate * x + turn * y;
             float dy = track->moves[i].y - shift.y - found.rate * y - turn * x;
-            stretched += track->weights[i] * (x * dx - y * dy);
             track->squares[i] = dx * dx + dy * dy;
         }
-        found.across = found.rate + stretched / moment;
         weigh(track, n);
     }
     for (int i = 0; i < n; i++) {
@@ -636,6 +633,55 @@ static growth fit(dlgmd_track *track, int n)
     return found;
 }
 
+/* The growth across of the row of points that begins at i, and whether it has one; i becomes the
+   first point of the next row. */
+static bool widen(const dlgmd_track *track, int n, int *i, float *across)
+{
+    const int first = *i;
+    while (*i < n && track->places[*i].y <= track->places[first].y) {
+        (*i)++;
+    }
+    dlgmd_place middle = mean_of(track->places + first, track->weights + first, *i - first);
+    float spread = 0.0f, grown = 0.0f;
+    for (int k = first; k < *i; k++) {
+        float x = track->places[k].x - middle.x;
+        spread += track->weights[k] * square(x);
+        grown += track->weights[k] * x * track->moves[k].x;
+    }
+    *across = spread > LEAST_SPREAD ? grown / spread : 0.0f;
+    return spread > LEAST_SPREAD;
+}
+
+/* The growth of what stands upright, from the weights of `fit`; as `upright` in Python. False if
+   all points are in one row, or no row has two. */
+static bool stand(const dlgmd_track *track, int n, float *upright)
+{
+    dlgmd_place middle = mean_of(track->places, track->weights, n);
+    float moment = 0.0f, down = 0.0f, above = 0.0f, total = 0.0f, sum = 0.0f, across = 0.0f;
+    float last_y = 0.0f, last_across = 0.0f;
+    bool had_width = false;
+    for (int i = 0; i < n;) {
+        const int first = i;
+        const float y = track->places[first].y;
+        bool has_width = widen(track, n, &i, &across);
+        float stretch = first > 0 ? -above * (y - last_y) : 0.0f; /* above + below is 0 */
+        sum += stretch * (across + last_across);
+        total += stretch * ((has_width ? 1.0f : 0.0f) + (had_width ? 1.0f : 0.0f));
+        for (int k = first; k < i; k++) {
+            above += track->weights[k] * (y - middle.y);
+            moment += track->weights[k] * square(y - middle.y);
+            down += track->weights[k] * (y - middle.y) * track->moves[k].y;
+        }
+        last_y = y;
+        last_across = across;
+        had_width = has_width;
+    }
+    if (total > 0.0f) {
+        *upright = 2.0f * sum / total - down / moment;
+    }
+    return total > 0.0f;
+}
+
 /* The growth of a window; false if too few of its points are found. */
 static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window window, growth *found)
 {
@@ -644,7 +690,7 @@ static bool grow(dlgmd_track *track, image (*pair)[N_LEVELS], dlgmd_window windo
         return false;
     }
     *found = fit(track, n_found);
-    return true;
+    return stand(track, n_found, &found->upright);
 }
 
 /* The middle of a part of a side of n cells, from -1 to 1. */
@@ -683,15 +729,16 @@ static void measure(dlgmd_state *state, const uint8_t *frame, uint32_t step_us)
     for (int i = 0; i < 2; i++) {
         see_levels(&state->work.track, pair[i], state->work.track.pyramids[i]);
     }
-    float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f, across = 0.0f;
+    float newest = share_of_newest(step_s, AHEAD_RATE), weight = 0.0f, sum = 0.0f, upright = 0.0f;
     if (grow(&state->work.track, pair, state->window, &ahead)) {
         weight = newest * square(ERROR) / (square(ERROR) + ahead.variance / square(age_s));
         sum = weight * ahead.rate / age_s;
-        across = weight * ahead.across / age_s;
+        upright = weight * ahead.upright / age_s;
     }
+    state->age = (1.0f - newest) * (state->age + step_s * state->weight);
     state->weight += weight - newest * state->weight;
     state->sum += sum - newest * state->sum;
-    state->across += across - newest * state->across;
+    state->upright += upright - newest * state->upright;
 }
 
 /* Measure how fast the image expands, and tell it. */
@@ -702,17 +749,18 @@ static void expand(dlgmd_state *state, const uint8_t *frame, uint32_t step_us, d
     float quality = state->weight;
     if (quality > LEAST_WEIGHT) {
         answer->expansion = state->sum / quality;
-        answer->expansion_across = state->across / quality;
+        answer->expansion_upright = state->upright / quality;
     }
     answer->expansion_quality = quality;
     answer->expansion_x = place_in(window->left, window->right, WIDTH);
     answer->expansion_y = place_in(window->top, window->bottom, HEIGHT);
     answer->has_ttc = quality >= LEAST_QUALITY && answer->expansion >= LEAST_RATE;
     if (answer->has_ttc) {
-        answer->ttc_s = 1.0f / answer->expansion;
+        float ttc_s = 1.0f / answer->expansion - state->age / quality;
+        answer->ttc_s = ttc_s > 0.0f ? ttc_s : 0.0f;
     }
-    /* What stands ahead: level ground grows twice as fast down as across. */
-    float ahead = 3.0f * answer->expansion_across - 2.0f * answer->expansion;
+    /* What stands ahead, without level ground. */
+    float ahead = answer->expansion_upright;
     ahead = ahead < answer->expansion ? ahead : answer->expansion;
     ahead *= quality < LEAST_QUALITY ? quality / LEAST_QUALITY : 1.0f;
     answer->alarm = DLGMD_RULE == DLGMD_TTC

@@ -85,7 +85,7 @@ typedef struct {
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_EXPANSION
     float weight, sum;   /* of rates ahead by their precision, and of those times the rates */
-    float across;        /* the same sum of the rates across */
+    float upright, age;  /* the same sums of the rates of what stands upright, and of the ages */
     float low_s;         /* how long the quality has been low; 0: it is not */
     dlgmd_window window; /* ahead */
     uint32_t steps_us[DLGMD_EARLIER]; /* from the frame before to each of `frames` */
@@ -128,8 +128,8 @@ typedef struct {
     float g_x, g_y;
     /* Beside the neuron; 0 where it is not measured. */
     float expansion;         /* ahead, per second; negative: the image shrinks */
-    float expansion_across;  /* of the width alone; expansion is the mean of width and height */
-    float expansion_quality; /* how precise these are, 0 to 1 */
+    float expansion_upright; /* the same of what stands upright: less over level ground */
+    float expansion_quality; /* how well the window was tracked, 0 to 1 */
     float ttc_s; /* estimated time to contact in seconds; DLGMD_NO_TTC unless has_ttc */
     float expansion_x, expansion_y; /* centre of the part that expands */
 } dlgmd_answer;

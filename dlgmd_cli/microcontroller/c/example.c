@@ -29,7 +29,7 @@ int main(int n_arguments, char **arguments)
     size_t n_read;
     dlgmd_reset(&state);
     dlgmd_health_reset(&sight);
-    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_across,expansion_quality,"
+    puts("frame,mp,mp_abs,spike,alarm,rule,g_x,g_y,expansion,expansion_upright,expansion_quality,"
          "ttc_s,expansion_x,expansion_y,blind");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         unsigned long n_steps = (unsigned long)n_arguments - 1;
@@ -48,7 +48,7 @@ int main(int n_arguments, char **arguments)
         bool is_measured = false;
 #endif
         print_if(answer.expansion_quality > 0, (double)answer.expansion);
-        print_if(answer.expansion_quality > 0, (double)answer.expansion_across);
+        print_if(answer.expansion_quality > 0, (double)answer.expansion_upright);
         print_if(is_measured, (double)answer.expansion_quality);
         print_if(answer.has_ttc, (double)answer.ttc_s);
         print_if(is_measured, (double)answer.expansion_x);

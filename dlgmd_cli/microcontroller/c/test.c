@@ -71,8 +71,8 @@ static bool is_same(const dlgmd_answer *a, const dlgmd_answer *b)
 {
     return a->valid == b->valid && a->spike == b->spike && a->alarm == b->alarm &&
            !(a->mp < b->mp || a->mp > b->mp) && !(a->g_x < b->g_x || a->g_x > b->g_x) &&
-           !(a->expansion_across < b->expansion_across ||
-             a->expansion_across > b->expansion_across) &&
+           !(a->expansion_upright < b->expansion_upright ||
+             a->expansion_upright > b->expansion_upright) &&
            !(a->expansion < b->expansion || a->expansion > b->expansion);
 }
 
@@ -83,7 +83,7 @@ int main(void)
         puts("frames.gray cannot be read. Run the test in its folder.");
         return 1;
     }
-    double mp = 0, mp_abs = 0, place = 0, rate = 0, across = 0, quality = 0;
+    double mp = 0, mp_abs = 0, place = 0, rate = 0, upright = 0, quality = 0;
     int first[2] = {N_FRAMES, N_FRAMES};
     bool is_valid = true, is_spike = true, is_again = true;
     for (int i = 0; i < N_FRAMES; i++) {
@@ -105,8 +105,8 @@ int main(void)
         if (right->expansion_quality >= CLEAR) {
             error = apart((double)answer->expansion, right->expansion);
             rate = larger(rate, error / larger(1, right->expansion));
-            error = apart((double)answer->expansion_across, right->expansion_across);
-            across = larger(across, error / larger(1, right->expansion));
+            error = apart((double)answer->expansion_upright, right->expansion_upright);
+            upright = larger(upright, error / larger(1, right->expansion));
         }
     }
     printf("dlgmd, %dx%d, %d frames, %u bytes of state\n", DLGMD_WIDTH, DLGMD_HEIGHT, N_FRAMES,
@@ -119,7 +119,7 @@ int main(void)
 #if DLGMD_EXPANSION
     const double most = 0.15; /* of rates per second where they are precise, relative above 1 */
     check_error("expansion", rate, most);
-    check_error("expansion across", across, most);
+    check_error("expansion upright", upright, most);
     check_error("quality of the expansion", quality, most);
 #endif
     printf("first alarm: frame %d, Python's %d (%d is none)\n", first[0], first[1], N_FRAMES);

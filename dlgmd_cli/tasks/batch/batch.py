@@ -125,7 +125,8 @@ def batch(
     timeout : float, optional
         Time limit per video, in seconds.
     scheduler : str, optional
-        A Dask cluster instead of processes of this machine, see `dlgmd batch --help`.
+        A Dask cluster instead of processes of this machine: ``tcp://HOST:PORT``, or a scheduler
+        file.
     progress : callable, optional
         Called with a name, a total and a unit; returns a context manager that yields a function,
         which is called with the number done.
