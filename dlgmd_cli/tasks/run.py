@@ -61,7 +61,8 @@ def run(
     param : mapping, optional
         Single parameters to override in all models, such as ``{"r": 4}``.
     formulation : str, optional
-        The version of the D-LGMD: ``"default"``, ``"equations"``, ``"released-2021"``.
+        The version of the D-LGMD: ``"default"``, ``"equations"``,
+        ``"released-2021"`` or ``"released-2020"``.
     out : str or path, optional
         Write the files of `dlgmd run` into ``out/NAME``, for one model, with figures in `formats`
         (PNG with `dpi`) and captions of the alarms (``"vtt"``); `overwrite` replaces an

@@ -106,11 +106,11 @@ def test_what_was_measured_is_thin_behind_the_signal_and_what_holds_it_back_is_s
     assert raw.get_zorder() < signal.get_zorder()
     assert {signal.axes, raw.axes} == {axes} and (result.signal[:38] < result.expansion[:38]).any()
     assert axes.get_ylim()[1] > np.nanmax(result.expansion)
-    assert result.held == [(30, 37, "quality")] and "held back: quality" in legend(figure)
+    assert result.held == [(29, 37, "quality")] and "held back: quality" in legend(figure)
     area = named(figure)["held back: quality"]
     (shaded,) = [c for c in axes.collections if c.get_hatch() == area.get_hatch() != None]  # noqa: E711
     corners = shaded.get_paths()[0].get_extents()
-    assert (corners.x0, corners.x1) == pytest.approx((result.time_s[30], result.time_s[37]))
+    assert (corners.x0, corners.x1) == pytest.approx((result.time_s[29], result.time_s[37]))
     assert corners.y0 == pytest.approx(result.rule.threshold)
     assert corners.y1 == pytest.approx(result.expansion[37])
     result.rows["blind"][10:20] = "unmeasured"
