@@ -262,9 +262,11 @@ def compare(
     1
     """
     collision_frame = first_collision(video, collision_frame, collisions)
-    models: list[ModelName] = [call.DEFAULT_PRESET, *COMPARED_MODELS]
-    chosen = models if model is None else [*MODELS] if model == "all" else model
-    request = call.fold(chosen, formulation, param, options, video, repeats_record=False)
+    if model is None:
+        model = [call.DEFAULT_PRESET, *COMPARED_MODELS]
+    elif model == "all":
+        model = [*MODELS]
+    request = call.fold(model, formulation, param, options, video, repeats_record=False)
     labels = numbered([setup.label for setup in request.setups])
     labelled = zip(request.setups, labels, strict=True)
     setups = tuple(replace(setup, label=label) for setup, label in labelled)

@@ -17,8 +17,8 @@ N_FRAMES = 9
 # Exceptions by nature; a model in none of these sets keeps to everything.
 SIGNED = {"lgmd", "emd-lgmd", *PUBLISHED}  # works on signed changes, not on |dL|
 # What a cell gets depends on where the frame ends: looks towards the centre, mirrors the frame at
-# its border, or draws a number for each cell of the frame.
-CENTRED = {"emd-lgmd", "mc-lgmd", "plgmd"}
+# its border, draws a number for each cell of the frame, or sees no motion in the last row.
+CENTRED = {"emd-lgmd", "mc-lgmd", "plgmd", "emd-lplc2"}
 SILENT = {"lgmd"}  # nothing of the small disc reaches its threshold
 
 CASES = {name: (name, {}) for name in MODELS} | {

@@ -86,7 +86,7 @@ def test_bounds(kind):
     for key, spec in kind.specs().items():
         if spec.kind in (bool, str):
             continue
-        step = 1 if spec.kind is int else 1e-3 * abs(spec.high)
+        step = 1 if spec.kind is int else 1e-3 * max(abs(spec.low), abs(spec.high))
         for value, why in (
             (spec.low - step, "not (above|at least)"),
             (spec.high + step, "more than"),

@@ -7,7 +7,10 @@ import numpy as np
 
 import dlgmd_cli
 from dlgmd_cli.models.base import FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, convolved, sigmoid
+from dlgmd_cli.models.published import parts
+
+_SCALE = {"authors": 10.0, "benchmark": 1.0}
+_T_MP = {"authors": parts.sigmoid(4.0), "benchmark": 1.0}
 
 
 class ALGMDParameters(dlgmd_cli.Parameters):
@@ -16,11 +19,7 @@ class ALGMDParameters(dlgmd_cli.Parameters):
     source = "Zhao et al., Biomimetics 9(1), 2024"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors",
-        meaning="whose code: the authors' or the benchmark's",
-        choices=CODES,
-    )
+    formulation: str = parts.whose_code()
     r_low: int = dlgmd_cli.key(1, "r_1", "px", "radius of inhibition for low speeds", 1, 16)
     r_high: int = dlgmd_cli.key(1, "r_2", "px", "radius of inhibition for high speeds", 1, 16)
     t_low: float = dlgmd_cli.key(0.03, "–", "luminance", "threshold of V_low", 0, 1)
@@ -31,13 +30,8 @@ class ALGMDParameters(dlgmd_cli.Parameters):
     d: float = dlgmd_cli.key(2.0, "d", "mV/ms", "recovery added by a reset", 0, 100)
     v_reset: float = dlgmd_cli.key(30.0, "–", "mV", "potential that is reset", -100, 1000)
     interval: float = dlgmd_cli.key(1 / 30, "Δ", "s", "frame n steps n thousandths of it", 1e-6, 10)
-    scale: float = dlgmd_cli.key(
-        {"authors": 10.0, "benchmark": 1.0}, "–", "mV", "v - c at which MP is 0.73", 0.01, 1000
-    )
-    # The authors' trigger is v > -25 mV, 4 scales above c. The benchmark's MP is 1 there.
-    t_mp: float = dlgmd_cli.key(
-        {"authors": sigmoid(4.0), "benchmark": 1.0}, "–", "–", "spiking threshold of MP", 0.5, 1
-    )
+    scale: float = dlgmd_cli.key(_SCALE, "–", "mV", "v - c at which MP is 0.73", 0.01, 1000)
+    t_mp: float = dlgmd_cli.key(_T_MP, "–", "–", "MP at the authors' trigger, -25 mV", 0.5, 1)
     n_sp: int = dlgmd_cli.key(1, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
@@ -98,12 +92,13 @@ class ALGMD(dlgmd_cli.Model):
         receptors.take(luminance)
         now = receptors.levels() / np.float32(255.0)
         if receptors.frame == 0:
-            self._last = self._low = self._high = np.zeros_like(now)
+            self._last = self._inhibited_low = self._inhibited_high = np.zeros_like(now)
             self._slowed = np.zeros(now.shape, np.bool_)
             self._v, self._u = params.c, 0.0
         p = np.abs(now - self._last)
-        low, high = p - self._low, p - self._high
+        low, high = p - self._inhibited_low, p - self._inhibited_high
         is_fast = high >= np.float32(params.t_high)
+        s = high * is_fast
         is_near = cv2.dilate(is_fast.view(np.uint8), self._around).view(np.bool_)
         is_faster = is_near & self._slowed
         receptors.clear(is_fast)
@@ -112,21 +107,21 @@ class ALGMD(dlgmd_cli.Model):
         if self._is_benchmark:
             low, high = np.abs(low), np.abs(high)
         self._slowed = (low > np.float32(params.t_low)) & ~(high > np.float32(params.t_high))
-        self._last, (self._low, self._high) = now, (convolved(p, one) for one in self._kernels)
-        mp, layer = (
-            sigmoid(max(self._v - params.c, 0.0) / params.scale),
-            is_faster.astype(np.float32),
+        self._last = now
+        self._inhibited_low, self._inhibited_high = (
+            parts.convolved(p, one) for one in self._kernels
         )
-        return dlgmd_cli.Response.of(
-            p, high * is_fast, layer, layers=layers, mp=mp, more={"v": self._v}
-        )
+        g = is_faster.astype(np.float32)
+        if receptors.frame == 0:  # P is the frame itself, a change for the model only
+            p = s = g
+        mp = parts.sigmoid(max(self._v - params.c, 0.0) / params.scale)
+        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=mp, more={"v": self._v})
 
     def _integrate(self, current: float) -> None:
         """The potential and the recovery of the next frame."""
         params, v, u = self.params, self._v, self._u
-        n = self.receptors.frame + self._is_benchmark
-        if n < 2 and not self._is_benchmark:
-            return
+        t = self.receptors.frame
+        n = t + 1 if self._is_benchmark else t if t > 1 else 0
         step = n * params.interval / 1000
         self._v = v + step * (0.04 * v * v + 5.0 * v + 140.0 - u + current)
         self._u = u + step * params.a * (params.b * v - u)

@@ -6,14 +6,14 @@ import numpy.typing as npt
 
 import dlgmd_cli
 from dlgmd_cli.models.base import Flags, FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, ZERO, sigmoid
+from dlgmd_cli.models.published import parts
 
 # The four branches of a cell: _LONG cells outward from its centre, _WIDE across.
 _LONG, _WIDE = 50, 40
 # x + _ROUNDING - _ROUNDING is x rounded to 2⁻³⁶. The running sums of such numbers are exact, so
 # that a branch without motion sums to 0.
 _ROUNDING = 1.5 * 2.0**16
-# ΣM of a branch at each cell, (H - 1, W - 1).
+# ΣM of a branch at each cell, (H, W).
 Sums = npt.NDArray[np.float64]
 # Steps of the giant fibre between two frames.
 _N_STEPS = 20
@@ -25,11 +25,7 @@ class EmdLplc2Parameters(dlgmd_cli.Parameters):
     source = "Zhao et al., iScience 26(4), 2023"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors",
-        meaning="whose code: the authors' or the benchmark's",
-        choices=CODES,
-    )
+    formulation: str = parts.whose_code()
     interval: float = dlgmd_cli.key(0.01, "Δ", "s", "interval of the frames", 1e-4, 10)
     tau_low: float = dlgmd_cli.key(0.05, "τ_L", "s", "time constant of the delay", 0, 100)
     tau_high: float = dlgmd_cli.key(0.25, "τ_H", "s", "time constant of the high-pass", 1e-4, 100)
@@ -49,8 +45,10 @@ class EmdLplc2Parameters(dlgmd_cli.Parameters):
     v_reset: float = dlgmd_cli.key(-70.0, "V_re", "mV", "potential after a spike", -80, 0)
     resistance: float = dlgmd_cli.key(10.0, "R", "–", "resistance", 0, 1e6)
     tau: float = dlgmd_cli.key(0.3, "τ", "s", "time constant of the giant fibre", 1e-3, 100)
-    # V_th, 10 mV above rest: 1 / (1 + exp(-10)). Any spike of the fibre is the authors' alarm.
-    t_mp: float = dlgmd_cli.key(sigmoid(10.0), "–", "–", "spiking threshold of MP, V_th", 0.5, 1)
+    # Any spike of the fibre is the authors' alarm.
+    t_mp: float = dlgmd_cli.key(
+        parts.sigmoid(10.0), "–", "–", "MP at V_th, 10 mV above rest", 0.5, 1
+    )
     n_sp: int = dlgmd_cli.key(1, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
@@ -100,44 +98,42 @@ class EmdLplc2(dlgmd_cli.Model):
         self._high = share * (now - self._last) + share * self._high
         self._last = now
         left, up = self._motion(self._high)
-        active = np.zeros_like(now)
-        active[:-1, :-1] = self._active(left, up)
+        active = self._active(left, up)
         receptors.clear(active)
-        s = cv2.copyMakeBorder(np.abs(left) + np.abs(up), 0, 1, 0, 1, ZERO)
-        v = self._fibre(np.count_nonzero(active))
+        v = self._fibre(int(np.count_nonzero(active)))
         return dlgmd_cli.Response.of(
-            *(self._high, s, active),
+            *(self._high, np.abs(left) + np.abs(up), active.astype(np.float32)),
             layers=layers,
-            mp=sigmoid(max(v - params.v_rest, 0.0)),
+            mp=parts.sigmoid(max(v - params.v_rest, 0.0)),
             more={"n_active": self._n_active, "v": v},
         )
 
     def _motion(self, high: FloatImage) -> tuple[FloatImage, FloatImage]:
-        """M along both axes, (H - 1, W - 1): leftward and upward motion are positive."""
+        """M along both axes: leftward and upward motion are positive. The last cells have none."""
         params = self.params
         new = params.interval / (params.tau_low + params.interval)
-        pathways = np.maximum(high, 0.0), np.maximum(params.t_off - high, 0.0)
-        for i, x in enumerate(pathways):
+        on, off = parts.positive(high), parts.positive(params.t_off - high)
+        for i, x in enumerate((on, off)):
+            self.receptors.clear(x)
             self._late[i] = new * x + (1.0 - new) * self._late[i]
-        (on, off), (late_on, late_off) = pathways, self._late
-        here = np.s_[:-1, :-1]
-        left, up = (
-            (on[here] * late_on[there] + off[here] * late_off[there])
-            - (late_on[here] * on[there] + late_off[here] * off[there])
-            for there in (np.s_[:-1, 1:], np.s_[1:, :-1])
-        )
+        late_on, late_off = self._late
+        left, up, here = np.zeros_like(high), np.zeros_like(high), np.s_[:-1, :-1]
+        for motion, there in ((left, np.s_[:-1, 1:]), (up, np.s_[1:, :-1])):
+            motion[here] = (on[here] * late_on[there] + off[here] * late_off[there]) - (
+                late_on[here] * on[there] + late_off[here] * off[there]
+            )
         return left, up
 
     def _active(self, left: FloatImage, up: FloatImage) -> Flags:
-        """Whether each cell is active, (H - 1, W - 1)."""
+        """Whether each cell is active; those of the last row and column never are."""
         params = self.params
         branches = [*_branches(left, axis=1), *_branches(up, axis=0)]
         if params.formulation == "benchmark":
             branches = [-b for b in branches]
-        n_above = sum((b > params.t_branch).view(np.uint8) for b in branches)
-        active = np.asarray(n_above >= params.n_branches)
-        sums = np.array([b[active] for b in branches])
-        active[active] = ((sums > params.t_inward) & (sums != 0.0)).all(axis=0)
+        active = np.sum([b > params.t_branch for b in branches], axis=0) >= params.n_branches
+        for b in branches:
+            active &= (b > params.t_inward) & (b != 0.0)
+        active[-1], active[:, -1] = False, False
         return active
 
     def _fibre(self, n_active: int) -> float:
@@ -164,8 +160,11 @@ def _branches(motion: FloatImage, axis: int) -> tuple[Sums, Sums]:
     if axis == 0:
         size, anchor, pad = size[::-1], anchor[::-1], (0, _LONG, 0, 0)
     rounded = np.add(motion, _ROUNDING, dtype=np.float64) - _ROUNDING
-    wide = cv2.copyMakeBorder(rounded, *pad, ZERO)
-    sums = cv2.boxFilter(wide, -1, size, anchor=anchor, normalize=False, borderType=ZERO)
-    before, after = np.s_[: motion.shape[0], : motion.shape[1]], [slice(None), slice(None)]
-    after[axis] = slice(_LONG, None)
-    return sums[before], -sums[tuple(after)]
+    wide = cv2.copyMakeBorder(rounded, *pad, parts.ZERO)
+    sums = np.asarray(
+        cv2.boxFilter(wide, -1, size, anchor=anchor, normalize=False, borderType=parts.ZERO),
+        np.float64,
+    )
+    height, width = motion.shape
+    after = sums[:, _LONG:] if axis == 1 else sums[_LONG:]
+    return sums[:height, :width], -after

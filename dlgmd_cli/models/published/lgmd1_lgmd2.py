@@ -1,16 +1,18 @@
 """The cascade of an LGMD1 and an LGMD2, Li et al. 2023."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 import dlgmd_cli
 from dlgmd_cli.models.base import FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, ZERO, convolved, sigmoid
+from dlgmd_cli.models.published import parts
 
 # The weights of x(t), y(t-1) and y(t-2) in every low-pass y of x.
 _NOW, _LAST, _BEFORE = 0.2, 0.5, 0.3
 # An LGMD2 inhibits ON with 0.4 of the weights. A float32, since these cascades amplify a last bit.
-_ON_KERNEL = np.float32(0.4) * NEIGHBOURS
+_ON_KERNEL = np.float32(0.4) * parts.NEIGHBOURS
 _MEAN = np.full((3, 3), 1 / 9, np.float32)
 
 
@@ -20,11 +22,7 @@ class CascadeParameters(dlgmd_cli.Parameters):
     source = "Li et al., IJCNN, 2023; values of the LGMD benchmark, MingshuoXu/BiSTS"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors",
-        meaning="whose code: the authors' or the benchmark's",
-        choices=CODES,
-    )
+    formulation: str = parts.whose_code()
     a: float = dlgmd_cli.key(0.1, "a", "–", "weight of the high-pass and of adaptation", 0, 1)
     persistence: float = dlgmd_cli.key(0.1, "d_c", "–", "share of ON and OFF that stays", 0, 0.99)
     sigma: float = dlgmd_cli.key(1.5, "σ", "px", "width of the blur, of 7x7 cells", 0.01, 100)
@@ -34,32 +32,18 @@ class CascadeParameters(dlgmd_cli.Parameters):
     c_cn: float = dlgmd_cli.key(1.0, "C_cn", "grey levels", "half-saturation contrast", 1e-6, 1e6)
     t_sfa: float = dlgmd_cli.key(0.01, "T_sfa", "–", "threshold of G and of its rise", 0, 1)
     gain: float = dlgmd_cli.key(200.0, "–", "–", "factor of k in the sigmoid", 1e-6, 1e6)
-    # V_th of the benchmark, whose resting potential is 0.5, too; the authors' V_th is not public.
-    t_mp: float = dlgmd_cli.key(0.9, "V_th", "–", "spiking threshold of MP", 0.5, 1)
-    n_sp: int = dlgmd_cli.key(
-        5, "N_ts", "frames", "spikes in a row that raise an alarm, Fu 2019", 1, 1000
-    )
+    # The authors' V_th is not public. The benchmark's neuron rests at 0.5, too.
+    t_mp: float = dlgmd_cli.key(0.9, "V_th", "–", "spiking threshold of MP, BiSTS", 0.5, 1)
+    n_sp: int = parts.spikes_2019()
 
 
-class Pathways:
-    """The ON and the OFF pathway of one of the two LGMDs; `on_kernel` inhibits ON."""
+@dataclass
+class Pathway:
+    """What the ON or the OFF pathway of an LGMD remembers; `kernel` spreads its inhibition."""
 
-    def __init__(self, zero: FloatImage, on_kernel: FloatImage) -> None:
-        self.kernels = on_kernel, NEIGHBOURS
-        self.waves, self.late = [zero, zero], [(zero, zero), (zero, zero)]
-
-    def summed(
-        self, change: FloatImage, weights: tuple[float, float], persistence: float
-    ) -> FloatImage:
-        """The layer S of a change of the input, with the strength of inhibition of ON and OFF."""
-        s = np.zeros_like(change)
-        for i, part in enumerate((change, -change)):
-            self.waves[i] = np.maximum(part, 0.0) + persistence * self.waves[i]
-            e = convolved(self.waves[i], NEIGHBOURS)
-            last, before = self.late[i]
-            self.late[i] = _NOW * e + _LAST * last + _BEFORE * before, last
-            s += np.maximum(e - weights[i] * convolved(self.late[i][0], self.kernels[i]), 0.0)
-        return s
+    kernel: FloatImage
+    wave: FloatImage
+    late: tuple[FloatImage, FloatImage]  # D[E] of the last two frames
 
 
 class Lgmd1Lgmd2(dlgmd_cli.Model):
@@ -91,15 +75,25 @@ class Lgmd1Lgmd2(dlgmd_cli.Model):
     columns = ("k",)
     first_valid_frame = 0
     # How the first and the second LGMD inhibit ON; an LGMD2 does so with other weights.
-    on_kernels = NEIGHBOURS, _ON_KERNEL
+    on_kernels = parts.NEIGHBOURS, _ON_KERNEL
 
     def __init__(self, params: CascadeParameters | None = None) -> None:
         super().__init__(params)
         self._is_benchmark = self.params.formulation == "benchmark"
-        self._border = cv2.BORDER_REFLECT_101 if self._is_benchmark else ZERO
+        self._border = cv2.BORDER_REFLECT_101 if self._is_benchmark else parts.ZERO
         row = np.exp(-0.5 * (np.arange(-3, 4, dtype=np.float32) / self.params.sigma) ** 2)
         row /= row.sum()
         self._blur = np.outer(row, row)
+
+    def _begin(self, levels: FloatImage) -> None:
+        """Start from rest."""
+        zero = np.zeros_like(levels)
+        self._levels, self._ffi = levels, (0.0, 0.0)
+        self._p = self._s = self._g = self._adapted = zero
+        self._first, self._second = (
+            [Pathway(kernel, zero, (zero, zero)) for kernel in (on_kernel, parts.NEIGHBOURS)]
+            for on_kernel in self.on_kernels
+        )
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
@@ -112,37 +106,51 @@ class Lgmd1Lgmd2(dlgmd_cli.Model):
             self._begin(levels)
         earlier = self._p if self._is_benchmark else self._levels
         self._levels, self._p = levels, params.a * (self._p + levels - earlier)
-        x = convolved(self._p, self._blur, self._border)
+        x = parts.convolved(self._p, self._blur, self._border)
+        receptors.clear(x)
         weights = self._weights()
-        first = self._first.summed(x, weights[0], params.persistence)
-        s = self._second.summed(first - self._s, weights[1], params.persistence)
+        first = self._layer_s(self._first, x, weights[0])
+        s = self._layer_s(self._second, first - self._s, weights[1])
         self._s = first
-        g = convolved(np.tanh(s / (params.c_cn + convolved(s, _MEAN))), _MEAN)
-        g *= g >= params.t_sfa
-        adapted = params.a * (self._adapted - self._g) * (g - self._g <= params.t_sfa)
-        self._g, self._adapted = g, np.maximum(params.a * g + adapted, 0.0)
-        receptors.clear(self._adapted)
-        k = cv2.sumElems(self._adapted)[0] / self.n_cells
+        k = self._adapt(s)
         return dlgmd_cli.Response.of(
             *(self._p, s, self._adapted),
             layers=layers,
-            mp=sigmoid(params.gain * k),
+            mp=parts.sigmoid(params.gain * k),
             ffi=float(self._ffi[0]),
             more={"k": k},
         )
 
-    def _begin(self, levels: FloatImage) -> None:
-        """Start from rest."""
-        zero = np.zeros_like(levels)
-        self._levels, self._ffi = levels, (0.0, 0.0)
-        self._p = self._s = self._g = self._adapted = zero
-        self._first, self._second = (Pathways(zero, kernel) for kernel in self.on_kernels)
-
     def _weights(self) -> list[tuple[float, float]]:
         """The strength of inhibition of ON and OFF in the first and in the second LGMD."""
         params, (last, before) = self.params, self._ffi
-        mean = np.abs(self._p).sum() / self.n_cells
+        mean = parts.summed(np.abs(self._p)) / self.n_cells
         self._ffi = _NOW * mean + _LAST * last + _BEFORE * before, last
         off = max(self._ffi[0] / params.t_ffi, params.base_off)
         on = max(2 * off, params.base_on)
         return [(on if kernel is _ON_KERNEL else off, off) for kernel in self.on_kernels]
+
+    def _layer_s(
+        self, pathways: list[Pathway], change: FloatImage, weights: tuple[float, float]
+    ) -> FloatImage:
+        """The layer S of an LGMD from the change of its input."""
+        s = np.zeros_like(change)
+        for path, part, weight in zip(pathways, (change, -change), weights, strict=True):
+            path.wave = parts.positive(part) + self.params.persistence * path.wave
+            e = parts.convolved(path.wave, parts.NEIGHBOURS)
+            self.receptors.clear(e)
+            last, before = path.late
+            late = _NOW * e + _LAST * last + _BEFORE * before
+            path.late = late, last
+            s += parts.positive(e - weight * parts.convolved(late, path.kernel))
+        return s
+
+    def _adapt(self, s: FloatImage) -> float:
+        """The mean of Ĝ of the next frame."""
+        params = self.params
+        g = parts.convolved(np.tanh(s / (params.c_cn + parts.convolved(s, _MEAN))), _MEAN)
+        self.receptors.clear(g)
+        g = parts.at_least(g, params.t_sfa)
+        adapted = params.a * (self._adapted - self._g) * (g - self._g <= params.t_sfa)
+        self._g, self._adapted = g, parts.positive(params.a * g + adapted)
+        return cv2.sumElems(self._adapted)[0] / self.n_cells

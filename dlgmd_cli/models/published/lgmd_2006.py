@@ -1,10 +1,11 @@
 """The LGMD with a grouping layer, Yue and Rind 2006."""
 
 import cv2
+import numpy as np
 
 import dlgmd_cli
 from dlgmd_cli.models.base import Grey
-from dlgmd_cli.models.published.parts import NEIGHBOURS, convolved, grouped, sigmoid
+from dlgmd_cli.models.published import parts
 
 
 class LGMD2006Parameters(dlgmd_cli.Parameters):
@@ -22,16 +23,8 @@ class LGMD2006Parameters(dlgmd_cli.Parameters):
     t_ffi: float = dlgmd_cli.key(
         255.0, "T_FFI", "grey levels", "mean change that silences the cell; 255 never", 0, 255
     )
-    # Both from LGMDSingle.cs of fuqinbing/LGMD-Plus-and-GAs-Open-Source, which restores the model.
-    t_mp: float = dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
-    n_sp: int = dlgmd_cli.key(
-        5,
-        "N_ts",
-        "frames",
-        "spikes in a row that raise an alarm, Fu 2019",
-        1,
-        1000,
-    )
+    t_mp: float = parts.threshold_2019()
+    n_sp: int = parts.spikes_2019()
 
 
 class LGMD2006(dlgmd_cli.Model):
@@ -65,13 +58,15 @@ class LGMD2006(dlgmd_cli.Model):
         if receptors.frame == 0:
             self._p = [p, p]
         last, before = self._p
-        p = p + params.p1 * last + params.p2 * before
+        p = parts.added(parts.added(p, params.p1, last), params.p2, before)
         self._p = [p, last]
         if receptors.frame < 2:  # no P(t-1) yet
             return dlgmd_cli.Response.of(p, 0 * p, 0 * p, layers=layers, mp=0.5)
-        s = abs(p) - params.w_i * abs(convolved(last, NEIGHBOURS))
+        s = parts.added(np.abs(p), -params.w_i, np.abs(parts.convolved(last, parts.NEIGHBOURS)))
         receptors.clear(s)
-        g = grouped(s, params.t_de / params.c_de, params.c_omega)
+        g = parts.grouped(s, params.t_de / params.c_de, params.c_omega)
         ffi = cv2.norm(last, cv2.NORM_L1) / self.n_cells
         k = 0.0 if ffi >= params.t_ffi else cv2.norm(g, cv2.NORM_L1) / self.n_cells
-        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=sigmoid(k), ffi=ffi, more={"k": k})
+        return dlgmd_cli.Response.of(
+            p, s, g, layers=layers, mp=parts.sigmoid(k), ffi=ffi, more={"k": k}
+        )

@@ -5,7 +5,7 @@ import numpy as np
 
 import dlgmd_cli
 from dlgmd_cli.models.base import FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, ZERO, convolved, grouped, sigmoid
+from dlgmd_cli.models.published import parts
 
 # A cell minus the mean of the 8 cells around it.
 _CONTRAST = np.full((3, 3), -1 / 8, np.float32)
@@ -18,9 +18,7 @@ class McLGMDParameters(dlgmd_cli.Parameters):
     source = "Fu, Li and Peng, Array 17, 2023"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors", meaning="whose code: the authors' or the benchmark's", choices=CODES
-    )
+    formulation: str = parts.whose_code()
     beta: float = dlgmd_cli.key(0.4, "β", "–", "strength of inhibition", 0, 100)
     alpha1: float = dlgmd_cli.key(3.0, "α_1", "grey levels", "sensitivity to contrast", 1e-6, 1e3)
     sigma: float = dlgmd_cli.key(5.0, "σ", "px", "width of the surround, of 9x9 cells", 0.01, 1e3)
@@ -28,11 +26,8 @@ class McLGMDParameters(dlgmd_cli.Parameters):
     c_de: float = dlgmd_cli.key(0.5, "C_de", "–", "decay coefficient of G", 1e-6, 100)
     t_de: float = dlgmd_cli.key(0.7, "T_de", "–", "threshold of decayed G", 0, 1e6)
     gain: float = dlgmd_cli.key(10.0, "–", "–", "factor of k in the sigmoid", 1e-6, 1e6)
-    # Both from the group's LGMDs.cs, since the code of this model has no spikes.
-    t_mp: float = dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
-    n_sp: int = dlgmd_cli.key(
-        5, "N_ts", "frames", "spikes in a row that raise an alarm, Fu 2019", 1, 1000
-    )
+    t_mp: float = parts.threshold_2019()
+    n_sp: int = parts.spikes_2019()
 
 
 class McLGMD(dlgmd_cli.Model):
@@ -61,7 +56,7 @@ class McLGMD(dlgmd_cli.Model):
     def __init__(self, params: McLGMDParameters | None = None) -> None:
         super().__init__(params)
         self._is_benchmark = self.params.formulation == "benchmark"
-        self._border = ZERO if self._is_benchmark else cv2.BORDER_REFLECT_101
+        self._border = parts.ZERO if self._is_benchmark else cv2.BORDER_REFLECT_101
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
@@ -73,22 +68,24 @@ class McLGMD(dlgmd_cli.Model):
         if receptors.frame == 0:
             self._on = self._off = p
             return dlgmd_cli.Response.of(p, p, p, layers=layers, mp=0.5)
-        self._on, on = self._pathway(np.maximum(p, 0.0), self._on)
-        self._off, off = self._pathway(np.maximum(-p, 0.0), self._off)
-        on = np.maximum(on, 0.0)
-        off = np.maximum(-off if self._is_benchmark else off, 0.0)
-        s = on + off + on * off
+        self._on, on = self._pathway(parts.positive(p), self._on)
+        self._off, off = self._pathway(parts.positive(-p), self._off)
+        on, off = parts.positive(on), parts.positive(-off if self._is_benchmark else off)
+        s = on * off
+        s += on
+        s += off
         receptors.clear(s)
-        g = grouped(s, params.t_de / params.c_de, params.c_omega, self._border)
+        g = parts.grouped(s, params.t_de / params.c_de, params.c_omega, self._border)
         k = cv2.sumElems(g)[0] / self.n_cells
         return dlgmd_cli.Response.of(
-            p, s, g, layers=layers, mp=sigmoid(params.gain * k), more={"k": k}
+            p, s, g, layers=layers, mp=parts.sigmoid(params.gain * k), more={"k": k}
         )
 
     def _pathway(self, p: FloatImage, last: FloatImage) -> tuple[FloatImage, FloatImage]:
         """M(t) of a pathway from P and M(t-1), and S - C."""
         surround = cv2.GaussianBlur(p, (9, 9), self.params.sigma, borderType=self._border)
-        m: FloatImage = np.tanh(p / (surround + np.float32(self.params.alpha1)))
-        inhibition = convolved(last, NEIGHBOURS, self._border)
-        contrast = abs(convolved(m, _CONTRAST, self._border))
-        return m, m - np.float32(self.params.beta) * inhibition - contrast
+        surround += np.float32(self.params.alpha1)
+        m: FloatImage = np.tanh(np.divide(p, surround, out=surround), out=surround)
+        s = parts.added(m, -self.params.beta, parts.convolved(last, parts.NEIGHBOURS, self._border))
+        s -= np.abs(parts.convolved(m, _CONTRAST, self._border))
+        return m, s

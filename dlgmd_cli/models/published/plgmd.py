@@ -8,7 +8,12 @@ import numpy.typing as npt
 
 import dlgmd_cli
 from dlgmd_cli.models.base import FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, grouped, sigmoid
+from dlgmd_cli.models.published import parts
+
+# Values that differ between the codes.
+_P1 = {"authors": 0.5, "benchmark": 1 / (1 + math.e)}
+_P2 = {"authors": 0.5, "benchmark": 1 / (1 + math.e**2)}
+_T_S = {"authors": 100.0, "benchmark": 30.0}
 
 
 class PLGMDParameters(dlgmd_cli.Parameters):
@@ -17,37 +22,16 @@ class PLGMDParameters(dlgmd_cli.Parameters):
     source = "Hong et al., Biomimetics 9(3), 2024"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors", meaning="whose code: the authors' or the benchmark's", choices=CODES
-    )
+    formulation: str = parts.whose_code()
     seed: int = dlgmd_cli.key(0, "–", "–", "seed of the random numbers", 0, 2**31 - 1)
     p: float = dlgmd_cli.key(0.8, "p", "–", "probability that a synapse transmits", 0, 1)
     w_i: float = dlgmd_cli.key(0.3, "W_I", "–", "strength of inhibition", 0, 100)
-    p1: float = dlgmd_cli.key(
-        {"authors": 0.5, "benchmark": 1 / (1 + math.e)},
-        "p_1",
-        "–",
-        "persistence of change after one frame",
-        0,
-        0.5,
-    )
-    p2: float = dlgmd_cli.key(
-        {"authors": 0.5, "benchmark": 1 / (1 + math.e**2)},
-        "p_2",
-        "–",
-        "persistence of change after two frames",
-        0,
-        0.5,
-    )
+    p1: float = dlgmd_cli.key(_P1, "p_1", "–", "persistence of change after one frame", 0, 0.5)
+    p2: float = dlgmd_cli.key(_P2, "p_2", "–", "persistence of change after two frames", 0, 0.5)
     c_omega: float = dlgmd_cli.key(4.0, "C_ω", "–", "divisor of max|Ce| in ω", 0.001, 1000)
-    t_s: float = dlgmd_cli.key(
-        {"authors": 100.0, "benchmark": 30.0}, "T_s", "grey levels", "threshold of G", 0, 1e6
-    )
-    # Both from the group's LGMDSingle.cs, since the code of this model has no spikes.
-    t_mp: float = dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
-    n_sp: int = dlgmd_cli.key(
-        5, "N_ts", "frames", "spikes in a row that raise an alarm, Fu 2019", 1, 1000
-    )
+    t_s: float = dlgmd_cli.key(_T_S, "T_s", "grey levels", "threshold of G", 0, 1e6)
+    t_mp: float = parts.threshold_2019()
+    n_sp: int = parts.spikes_2019()
 
 
 class PLGMD(dlgmd_cli.Model):
@@ -89,17 +73,17 @@ class PLGMD(dlgmd_cli.Model):
         last, before = self._p
         if receptors.frame == 1 and params.formulation == "authors":
             p[:] = 0.0
-        p = p + np.float32(params.p1) * last + np.float32(params.p2) * before
+        p = parts.added(parts.added(p, params.p1, last), params.p2, before)
         self._p = [p, last]
         if receptors.frame < 2:  # no P(t-1) yet
             return dlgmd_cli.Response.of(p, 0 * p, 0 * p, layers=layers, mp=0.5)
         s = p * self.mask(params.p**2, p.shape)
-        inhibition = np.float32(-params.w_i) * self._inhibition(last)
-        cv2.add(s, inhibition, dst=s, mask=self.mask(params.p, p.shape))
+        inhibited = parts.added(s, -params.w_i, self._inhibition(last))
+        cv2.copyTo(inhibited, self.mask(params.p, p.shape), s)
         receptors.clear(s)
-        g = grouped(s, params.t_s, params.c_omega) * self.mask(params.p, p.shape)
+        g = parts.grouped(s, params.t_s, params.c_omega) * self.mask(params.p, p.shape)
         k = cv2.norm(g, cv2.NORM_L1) / self.n_cells
-        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=sigmoid(k), more={"k": k})
+        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=parts.sigmoid(k), more={"k": k})
 
     def mask(self, p: float, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         """A new mask, 1 with probability p to 16 bits, else 0."""
@@ -110,9 +94,9 @@ class PLGMD(dlgmd_cli.Model):
 
     def _inhibition(self, p: FloatImage) -> FloatImage:
         """Σ w B P over the 8 neighbours of each cell."""
-        wide = cv2.copyMakeBorder(p, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+        wide = cv2.copyMakeBorder(p, 1, 1, 1, 1, parts.ZERO)
         sums = {weight: np.zeros_like(p) for weight in (0.25, 0.125)}
-        for (row, column), weight in np.ndenumerate(NEIGHBOURS):
+        for (row, column), weight in np.ndenumerate(parts.NEIGHBOURS):
             if weight:
                 part = wide[row : row + p.shape[0], column : column + p.shape[1]]
                 total = sums[float(weight)]

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import FloatImage, Grey
-from dlgmd_cli.models.published.parts import CODES, NEIGHBOURS, convolved, mean3, sigmoid
+from dlgmd_cli.models.base import Grey
+from dlgmd_cli.models.published import parts
 
 
 class SfaLGMDParameters(dlgmd_cli.Parameters):
@@ -14,19 +14,12 @@ class SfaLGMDParameters(dlgmd_cli.Parameters):
     source = "Fu et al., Neural Networks 106, 2018"
     rest = 0.5
 
-    formulation: str = dlgmd_cli.key(
-        "authors", meaning="whose delays: the authors' or the benchmark's", choices=CODES
-    )
+    formulation: str = parts.whose_code()
     rate: float = dlgmd_cli.key(30.0, "1/τ_in", "frames/s", "rate of the frames", 0.1, 1e4)
     tau_1: float = dlgmd_cli.key(30.0, "τ_1", "ms", "delay from the four nearest cells", 0, 1e4)
     tau_2: float = dlgmd_cli.key(60.0, "τ_2", "ms", "delay from the corners", 0, 1e4)
     tau_ffi: float = dlgmd_cli.key(
-        {"authors": 90.0, "benchmark": 9700 / 9},
-        "τ_ffi",
-        "ms",
-        "delay of feed-forward inhibition",
-        0,
-        1e5,
+        {"authors": 90.0, "benchmark": 9700 / 9}, "τ_ffi", "ms", "delay of FFI", 0, 1e5
     )
     tau_slow: float = dlgmd_cli.key(700.0, "τ_4", "ms", "adaptation while MP accelerates", 0, 1e6)
     tau_fast: float = dlgmd_cli.key(300.0, "τ_5", "ms", "adaptation else", 0, 1e6)
@@ -34,15 +27,10 @@ class SfaLGMDParameters(dlgmd_cli.Parameters):
     w_2: float = dlgmd_cli.key(0.6, "w_2", "–", "strength of inhibition, OFF", 0, 100)
     persistence: float = dlgmd_cli.key(0.1, "α", "–", "share of ON and OFF that stays", 0, 0.99)
     t_g: float = dlgmd_cli.key(10.0, "T_g", "grey levels", "threshold of G", 0, 1e6)
-    t_ffi: float = dlgmd_cli.key(
-        10.0, "T_FFI", "grey levels", "feed-forward inhibition that silences the cell", 0, 255
-    )
+    t_ffi: float = dlgmd_cli.key(10.0, "T_FFI", "grey levels", "FFI that silences the cell", 0, 255)
     t_sfa: float = dlgmd_cli.key(0.0015, "T_sfa", "–", "change of MP that is a rise", 0, 1)
-    # Both from the group's LGMDs.cs.
-    t_mp: float = dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
-    n_sp: int = dlgmd_cli.key(
-        5, "N_ts", "frames", "spikes in a row that raise an alarm, Fu 2019", 1, 1000
-    )
+    t_mp: float = parts.threshold_2019()
+    n_sp: int = parts.spikes_2019()
 
 
 class SfaLGMD(dlgmd_cli.Model):
@@ -76,7 +64,7 @@ class SfaLGMD(dlgmd_cli.Model):
         near, far = params.tau_1, params.tau_2
         tau = np.array([[far, near, far], [near, 0.0, near], [far, near, far]])
         share = (interval / (interval + tau)).astype(np.float32)
-        self._now, self._earlier = NEIGHBOURS * share, NEIGHBOURS * (1.0 - share)
+        self._now, self._earlier = parts.NEIGHBOURS * share, parts.NEIGHBOURS * (1.0 - share)
         self._slow = params.tau_slow / (params.tau_slow + interval)
         self._fast = params.tau_fast / (params.tau_fast + interval)
         self._is_benchmark = params.formulation == "benchmark"
@@ -90,30 +78,28 @@ class SfaLGMD(dlgmd_cli.Model):
         receptors.take(luminance)
         p = receptors.level_change()
         if receptors.frame == 0:
-            self._on = self._off = self._last_on = self._last_off = p
+            self._on = self._off = self._waiting = p
             self._ffi, self._u, self._u_change, self._mp = 0.0, 0.5, 0.0, 0.5
             return dlgmd_cli.Response.of(p, p, p, layers=layers, mp=0.5)
-        stays = np.float32(params.persistence)
-        on, off = np.maximum(p, 0.0) + stays * self._on, np.maximum(-p, 0.0) + stays * self._off
-        late_on, late_off = self._delayed(on, self._last_on), self._delayed(off, self._last_off)
-        self._on, self._off = on, off
-        self._last_on, self._last_off = (late_on, late_off) if self._is_benchmark else (on, off)
-        s = on - np.float32(params.w_1) * late_on + late_off - np.float32(params.w_2) * off
+        self._on = on = parts.added(parts.positive(p), params.persistence, self._on)
+        self._off = off = parts.added(parts.positive(-p), params.persistence, self._off)
+        # Both D at once, since they are linear: D[OFF] - w_1 D[ON].
+        delayed = parts.added(off, -params.w_1, on)
+        late = parts.convolved(delayed, self._now)
+        late += parts.convolved(self._waiting, self._earlier)
+        self._waiting = late if self._is_benchmark else delayed
+        s = parts.added(on, -params.w_2, off)
+        s += late
         receptors.clear(s)
-        g = mean3(s)
-        g[g < np.float32(params.t_g)] = 0.0
+        g = parts.at_least(parts.mean3(s), params.t_g)
         receptors.clear(g)
         k = cv2.sumElems(g)[0] / self.n_cells
         change = cv2.norm(p, cv2.NORM_L1) / self.n_cells
         self._ffi += self._ffi_share * (change - self._ffi)
-        self._adapt(0.5 if self._ffi >= params.t_ffi else sigmoid(k))
+        self._adapt(0.5 if self._ffi >= params.t_ffi else parts.sigmoid(k))
         return dlgmd_cli.Response.of(
             p, s, g, layers=layers, mp=self._mp, ffi=self._ffi, more={"k": k}
         )
-
-    def _delayed(self, image: FloatImage, earlier: FloatImage) -> FloatImage:
-        """D[X] of the newest X and what stands for the X before."""
-        return convolved(image, self._now) + convolved(earlier, self._earlier)
 
     def _adapt(self, u: float) -> None:
         """MP of the next frame from U."""
