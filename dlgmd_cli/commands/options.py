@@ -1,9 +1,7 @@
 """Options that several commands share, and the types of their values."""
 
 import math
-import os
 import re
-import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
@@ -15,10 +13,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters import keys, presets
 from dlgmd_cli.parameters.checks import Spec, in_argument, listed, meant_number, require_known
 from dlgmd_cli.parameters.facts import Value
-from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.results.files import FIGURE_FORMATS, FILES, RUN, formats_of
 from dlgmd_cli.video.base import parse_crop, parse_size
 from dlgmd_cli.video.input_options import SPECS, parse_time
@@ -79,7 +76,7 @@ def _named_as(option: str) -> Callable[[str], str]:
         if other not in ("", option):
             raise ParameterError("", f"{text[:80]!r} is {what}", f"Write --{other} {text[:80]}.")
         if option == "model" and ":" in text:
-            find_modules_here()
+            keys.find_modules_here()
         elif option == "model":
             require_known("model", text, _model_names())
         if option == "set":
@@ -87,17 +84,6 @@ def _named_as(option: str) -> Callable[[str], str]:
         return text
 
     return parse
-
-
-def find_modules_here() -> None:
-    """Let Python find modules in the working folder, once the command line names a module.
-
-    Earlier, a file there could pass for an optional package that is not installed. The folder comes
-    last in the search path: no file there replaces a library.
-    """
-    here = os.path.abspath("")
-    if here not in sys.path:
-        sys.path.append(here)
 
 
 SIZE, FRAME = Parsed("WxH", parse_size), numeric(int, 0, 999_999_999)
@@ -110,12 +96,11 @@ def _set_names() -> tuple[str, ...]:
 _SETS = Parsed("N|NAME", lambda text: [*map(_named_as("set"), listed(text))], _set_names)
 _CONFIG = Parsed("FILE", _named_as("config"))
 MODEL = Parsed("model", _named_as("model"), _model_names)
-# The name that stands for every model of the package, where several models may be named.
-ALL = "all"
+# Where several models may be named, "all" stands for every model of the package.
 _MODELS = Parsed(
     "model",
-    lambda text: text if text == ALL else _named_as("model")(text),
-    lambda: (*_model_names(), ALL),
+    lambda text: [*presets.MODELS] if text == "all" else [_named_as("model")(text)],
+    lambda: (*_model_names(), "all"),
 )
 NO_FIGURES = "none"
 
@@ -278,7 +263,7 @@ param_option = click.option(
 )
 
 
-RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in RULES.items())
+RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in keys.RULES.items())
 
 
 def _rule(text: str) -> str:
@@ -286,14 +271,14 @@ def _rule(text: str) -> str:
     if meant_number(text) is not None:
         raise ParameterError("", f"{text!r} is a number", f"Write --threshold {text}.")
     if ":" not in text:
-        return str(Spec(str, choices=RULES).check(text))
-    find_modules_here()
+        return str(Spec(str, choices=keys.RULES).check(text))
+    keys.find_modules_here()
     return text
 
 
 alarm_option = click.option(
     "--alarm",
-    type=Parsed(f"{'|'.join(RULES)}|MODULE:CLASS", _rule, lambda: RULES),
+    type=Parsed(f"{'|'.join(keys.RULES)}|MODULE:CLASS", _rule, lambda: keys.RULES),
     help=f"Rule that raises an alarm. {RULES_TEXT}; --param sets these keys. MODULE:CLASS is a "
     "rule of your own.  [default: expansion for the presets, spikes for sets and models]",
 )
@@ -354,7 +339,8 @@ def _naming_options(*, many: bool) -> tuple[Option, ...]:
             "--model",
             f"model{plural}",
             type=_MODELS if many else MODEL,
-            metavar=f"[{'|'.join(presets.MODELS)}{f'|{ALL}' * many}|MODULE:CLASS]",
+            callback=_joined if many else _only_one,
+            metavar=f"[{'|'.join(presets.MODELS)}{'|all' * many}|MODULE:CLASS]",
             help="A model with its published parameters; dlgmd means set 9. A custom one is "
             f"package.module:Class.{note}{' all means every model.' if many else ''}",
         ),
@@ -408,10 +394,8 @@ def named_models(
 ) -> list[Any]:
     """The models that --set, --config and --model name, in this order, each once.
 
-    --model all names every model of the package. A custom --model is joined with the file that
-    names the model: a file alone may not import it.
+    A custom --model is joined with the file that names the model: a file alone may not import it.
     """
-    models = tuple(m for n in models for m in (presets.MODELS if n == ALL else (n,)))
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
     by_config = {

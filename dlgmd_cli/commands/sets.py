@@ -7,7 +7,7 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands import console, options
 from dlgmd_cli.commands.console import Command, Group
-from dlgmd_cli.parameters import presets
+from dlgmd_cli.parameters import keys, presets
 
 
 class _Sets(Group):
@@ -71,7 +71,7 @@ def show(name: str, plot: Path | None, overwrite: bool) -> None:
     or a YAML file.
     """
     if ":" in name:
-        options.find_modules_here()
+        keys.find_modules_here()
     from dlgmd_cli.tasks import sets as task
 
     console.show(task.sets(name, plot, overwrite=overwrite))
@@ -93,7 +93,7 @@ def check(name: str) -> None:
     from dlgmd_cli.models.trial import trial
     from dlgmd_cli.results.csv import row_type
 
-    options.find_modules_here()
+    keys.find_modules_here()
     params = presets.parameters_of(presets.config_of(name))
     row_type(create_model(params).columns)  # raises for a name that is taken
     facts, faults = trial(params)

@@ -1,6 +1,8 @@
 """The base of all parameter classes, also those of custom models: keys with checks."""
 
 import math
+import os
+import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache, lru_cache
@@ -283,6 +285,17 @@ def _restored(
     RULES.setdefault(str(values["alarm"]), rule)
     kind = imported_model(kind).params_class if isinstance(kind, str) else kind
     return kind.from_mapping(values)
+
+
+def find_modules_here() -> None:
+    """Let Python find modules in the working folder, once the command line names a module.
+
+    Earlier, a file there could pass for an optional package that is not installed. The folder comes
+    last in the search path: no file there replaces a library.
+    """
+    here = os.path.abspath("")
+    if here not in sys.path:
+        sys.path.append(here)
 
 
 def imported_model(spec: str, origin: str = "", what: str = "model") -> Any:

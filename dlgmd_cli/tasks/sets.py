@@ -101,8 +101,9 @@ class Sets(Outcome):
         yield ("set", *symbols.values()), texts
         named = (f"{symbol} {key}" for key, symbol in symbols.items() if symbol != key)
         yield f"Keys: {', '.join(named)}. 'dlgmd sets N' shows all parameters, with units."
-        others = [name for name in presets.MODELS if name != presets.DlgmdParameters.model]
-        yield f"Other models: {', '.join(others)}."
+        others = {*presets.MODELS} - {presets.DlgmdParameters.model, *presets.PUBLISHED}
+        yield f"Other models: {', '.join(name for name in presets.MODELS if name in others)}."
+        yield f"Models of the field:\n{', '.join(presets.PUBLISHED)}."
         yield "'dlgmd sets lgmd' shows the parameters of one of them."
         yield f"Presets: {', '.join(presets.PRESETS)}; the first is the default."
 
