@@ -186,7 +186,8 @@ class Parameters:
     def __reduce__(self) -> Any:
         # A worker process then imports the model's module too, not only the module of the
         # parameters, and knows the module of the rule.
-        kind = self.model if ":" in self.model else type(self)
+        by_name = ":" in self.model or self.module.startswith(PUBLISHED_MODELS)
+        kind = f"{self.module}:{self.model_class.__qualname__}" if by_name else type(self)
         return _restored, (kind, self.to_dict(), RULES[self.alarm])
 
     @classmethod

@@ -1,5 +1,7 @@
 """The models of the field against the numbers of their public code."""
 
+import pickle
+
 import cv2
 import numpy as np
 import pytest
@@ -148,6 +150,12 @@ def test_field_models_say_what_they_are():
         assert kind().t_mp > 0.5 and kind.model == kind.preset == name
         for key, spec in kind.specs().items():
             assert spec.meaning, key
+
+
+@pytest.mark.parametrize("model", PUBLISHED)
+def test_another_process_gets_the_same_parameters(model):
+    params = MODELS[model](t_mp=0.7)
+    assert pickle.loads(pickle.dumps(params)) == params
 
 
 def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
