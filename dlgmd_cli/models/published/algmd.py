@@ -31,7 +31,7 @@ class ALGMDParameters(dlgmd_cli.Parameters):
     v_reset: float = dlgmd_cli.key(30.0, "–", "mV", "potential that is reset", -100, 1000)
     interval: float = dlgmd_cli.key(1 / 30, "Δ", "s", "frame n steps n thousandths of it", 1e-6, 10)
     scale: float = dlgmd_cli.key(_SCALE, "–", "mV", "v - c at which MP is 0.73", 0.01, 1000)
-    t_mp: float = dlgmd_cli.key(_T_MP, "–", "–", "MP at the authors' trigger, -25 mV", 0.5, 1)
+    t_mp: float = dlgmd_cli.key(_T_MP, "–", "–", "MP at the authors' trigger, -25 mV", 0, 1)
     n_sp: int = dlgmd_cli.key(1, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 

@@ -33,7 +33,7 @@ class CascadeParameters(dlgmd_cli.Parameters):
     t_sfa: float = dlgmd_cli.key(0.01, "T_sfa", "–", "threshold of G and of its rise", 0, 1)
     gain: float = dlgmd_cli.key(200.0, "–", "–", "factor of k in the sigmoid", 1e-6, 1e6)
     # The authors' V_th is not public. The benchmark's neuron rests at 0.5, too.
-    t_mp: float = dlgmd_cli.key(0.9, "V_th", "–", "spiking threshold of MP, BiSTS", 0.5, 1)
+    t_mp: float = dlgmd_cli.key(0.9, "V_th", "–", "spiking threshold of MP, BiSTS", 0, 1)
     n_sp: int = parts.spikes_2019()
 
 

@@ -23,7 +23,7 @@ def whose_code() -> Any:
 
 def threshold_2019() -> Any:
     """The key `t_mp` of Fu 2019, in fuqinbing/LGMD-Plus-and-GAs-Open-Source (LGMDSingle.cs)."""
-    return dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0.5, 1)
+    return dlgmd_cli.key(0.78, "T_sp", "–", "spiking threshold of MP, Fu 2019", 0, 1)
 
 
 def spikes_2019() -> Any:
