@@ -12,6 +12,7 @@ from dlgmd_cli import open_video
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.bench import bench as task
 from dlgmd_cli.lab.bench.programs import timed
+from dlgmd_cli.parameters.presets import MODELS
 
 ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
 SMALL = {"radii": [2], "scales": [0.5], "repeats": 1}
@@ -85,6 +86,14 @@ def test_the_onset_of_a_busy_computer_is_that_of_run(here, dlgmd, runs):
     assert row["percent"] == "50" and float(row["run_onset_s"]) == pytest.approx(101 / 30, abs=1e-3)
     assert float(row["onset_s"]) == pytest.approx(3.3, abs=1.0)
     assert dlgmd("lab", "bench", "--share", 50).exit_code == 2
+
+
+def test_every_model_of_the_package_is_timed(here, runs):
+    bench(runs, "--models", "--frames", 12, "--repeat", 1, "--out", "speed")
+    rows = csv_rows("speed/models.csv")
+    assert {row["model"] for row in rows} == {*MODELS} and len(rows) == 2 * len(MODELS)
+    for row in rows:
+        assert float(row["core_ms"]) * float(row["frames_per_s"]) == pytest.approx(1e3)
 
 
 def test_programs_are_compared_with_a_bare_read(here, runs, clips):

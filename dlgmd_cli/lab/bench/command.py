@@ -7,6 +7,7 @@ import click
 
 from dlgmd_cli.commands import options
 from dlgmd_cli.commands.console import Command, progress, show
+from dlgmd_cli.parameters.presets import MODELS
 
 
 @click.command(cls=Command)
@@ -58,11 +59,16 @@ from dlgmd_cli.commands.console import Command, progress, show
     "VIDEO, or over clips of 1920x1080, 1280x720 and 640x360, one of them of 10 minutes.",
 )
 @click.option(
+    "--models",
+    is_flag=True,
+    help="Instead: time every model of the package over a texture of 432x240 and of 1280x720.",
+)
+@click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Also write DIR/bench.csv, DIR/onsets.csv or DIR/programs.csv.",
+    help="Also write DIR/bench.csv, DIR/onsets.csv, DIR/programs.csv or DIR/models.csv.",
 )
 @options.overwrite_option
 def bench(
@@ -73,6 +79,7 @@ def bench(
     repeats: int,
     shares: tuple[int, ...],
     programs: bool,
+    models: bool,
     out: Path | None,
     overwrite: bool,
 ) -> None:
@@ -85,12 +92,14 @@ def bench(
       dlgmd lab bench --out speed                      # also as a CSV
       dlgmd lab bench flight.mp4 --share 25            # the alarm of a busy computer
       dlgmd lab bench --programs --repeat 5            # beside other programs
+      dlgmd lab bench --models                         # every model of the package
 
     Runs set 7 with each radius at each scale over VIDEO, or over a texture of 1920x1080. Shows the
     time per frame of the core (the model alone), and of the whole (with decoding, conversion to
     grey and scaling).
     """
     from dlgmd_cli.lab.bench import bench as task
+    from dlgmd_cli.lab.bench import every
     from dlgmd_cli.lab.bench.programs import made_clips
     from dlgmd_cli.lab.bench.programs import programs as timed_programs
     from dlgmd_cli.lab.bench.shares import onsets
@@ -102,6 +111,10 @@ def bench(
             clips = [Path(video)] if video else opened.enter_context(made_clips())
             on_pass = opened.enter_context(progress("bench", repeats + 1, "pass"))
             found = timed_programs(clips, repeats, on_pass)
+    elif models:
+        n_passes = repeats * len(every.SIZES_WH) * len(MODELS)
+        with progress("bench", n_passes, "pass") as on_pass:
+            found = every.every_model(frames, repeats, on_pass)
     elif shares:
         if video is None:
             raise click.UsageError("--share works only with a VIDEO.")
