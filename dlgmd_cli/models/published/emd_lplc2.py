@@ -46,9 +46,7 @@ class EmdLplc2Parameters(dlgmd_cli.Parameters):
     resistance: float = dlgmd_cli.key(10.0, "R", "–", "resistance", 0, 1e6)
     tau: float = dlgmd_cli.key(0.3, "τ", "s", "time constant of the giant fibre", 1e-3, 100)
     # Any spike of the fibre is the authors' alarm.
-    t_mp: float = dlgmd_cli.key(
-        parts.sigmoid(10.0), "–", "–", "MP at V_th, 10 mV above rest", 0, 1
-    )
+    t_mp: float = dlgmd_cli.key(parts.sigmoid(10.0), "–", "–", "MP at V_th, 10 mV above rest", 0, 1)
     n_sp: int = dlgmd_cli.key(1, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 

@@ -136,13 +136,18 @@ class Lgmd1Lgmd2(dlgmd_cli.Model):
         """The layer S of an LGMD from the change of its input."""
         s = np.zeros_like(change)
         for path, part, weight in zip(pathways, (change, -change), weights, strict=True):
-            path.wave = parts.positive(part) + self.params.persistence * path.wave
-            e = parts.convolved(path.wave, parts.NEIGHBOURS)
+            wave = parts.positive(part)
+            wave += self.params.persistence * path.wave
+            e = parts.convolved(wave, parts.NEIGHBOURS)
             self.receptors.clear(e)
             last, before = path.late
-            late = _NOW * e + _LAST * last + _BEFORE * before
-            path.late = late, last
-            s += parts.positive(e - weight * parts.convolved(late, path.kernel))
+            late = _NOW * e
+            late += _LAST * last
+            late += _BEFORE * before
+            path.wave, path.late = wave, (late, last)
+            inhibition = parts.convolved(late, path.kernel)
+            inhibition *= weight
+            s += parts.positive(e - inhibition)
         return s
 
     def _adapt(self, s: FloatImage) -> float:
