@@ -158,6 +158,13 @@ def test_another_process_gets_the_same_parameters(model):
     assert pickle.loads(pickle.dumps(params)) == params
 
 
+def test_a_response_is_normalised_by_a_sequence_too():
+    frames = np.random.default_rng(5).integers(0, 256, (8, 24, 32), np.uint8)
+    result = dlgmd_cli.run(frames, "mc-lgmd", fps=30, normalise="sequence")
+    assert result.threshold == 0.4
+    assert np.nanmin(result.level) == 0.0 and np.nanmax(result.level) == 1.0
+
+
 def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
