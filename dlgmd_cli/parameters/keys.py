@@ -184,7 +184,8 @@ class Parameters:
     def __reduce__(self) -> Any:
         # A worker process then imports the model's module too, not only the module of the
         # parameters, and knows the module of the rule.
-        kind = self.model if ":" in self.model else type(self)
+        is_own = self.model in OWN_MODELS
+        kind = f"{self.module}:{self.model_class.__qualname__}" if is_own else type(self)
         return _restored, (kind, self.to_dict(), RULES[self.alarm])
 
     @classmethod

@@ -106,8 +106,8 @@ CAPABILITIES = {
             **{"param": {"kappa": 1e-4}, "repeats": "keep", "speed_m_s": 0.5, "jobs": 1, **how},
         ),
         "",
-        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv",
-        "evaluate-leads evaluate-ttc",
+        "evaluate.yaml evaluate.csv curves.csv alarms.csv ttc.csv auc.csv roc.csv",
+        "evaluate-leads evaluate-ttc evaluate-roc",
         tables=[
             ("table", "evaluate.csv"),
             ("curve_table", "curves.csv"),
