@@ -18,7 +18,8 @@ from dlgmd_cli.commands import console
 from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results.csv import ALARM_COLUMNS, COMPARISON
-from dlgmd_cli.scenes import SCENES, Truth
+from dlgmd_cli.scenes.objects import SCENES
+from dlgmd_cli.scenes.scene import Truth
 from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
 from dlgmd_cli.tasks.evaluate import tables as scores
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.scenes import SCENES, disc, rectangle
+from dlgmd_cli.scenes.objects import SCENES
+from dlgmd_cli.scenes.shapes import disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"size": (48, 64), "frames": 6}
@@ -136,28 +137,28 @@ def test_values_that_only_python_can_give(name, value, why):
 # Objects that come closer or go away
 
 
-@pytest.mark.parametrize("name", ["looming-cube", "receding-cube", "looming-ball"])
+@pytest.mark.parametrize("name", ["looming", "receding", "ball"])
 def test_the_area_of_the_object_follows_from_the_distance(name):
     scene = SCENES[name]
     focal = scene.focal_px
     for frame, row in zip(scene.frames(), scene.truth(), strict=True):
         half = math.radians(row.angular_size_deg) / 2.0
         span = 2.0 * focal * math.tan(half)
-        distance = 0.1 + 3.0 * row.time_s if name == "receding-cube" else 7.5 - 3.0 * row.time_s
-        if name == "looming-ball":
+        distance = 0.1 + 3.0 * row.time_s if name == "receding" else 7.5 - 3.0 * row.time_s
+        if name == "ball":
             assert math.sin(half) == pytest.approx(0.25 / (distance + 0.25), rel=1e-9)
             area = math.pi * span**2 / 4 if span < 270.0 else None
         else:
             assert span == pytest.approx(focal * 0.5 / distance, rel=1e-9)
             area = min(span, 270.0) * min(span, 480.0)
-        if name != "receding-cube":
+        if name != "receding":
             assert row.time_to_contact_s == pytest.approx(distance / 3.0) and distance > 0.0
         if area is not None:
             assert darkness(frame, scene).sum() == pytest.approx(area, rel=1e-3)
 
 
 def test_receding_cube_is_the_looming_cube_backwards():
-    looming, receding = SCENES["looming-cube"], SCENES["receding-cube"]
+    looming, receding = SCENES["looming"], SCENES["receding"]
     there, back = looming.frames(), receding.frames()
     for a, b in zip(list(there)[::-1], back, strict=True):
         assert np.max(np.abs(a.astype(int) - b)) <= 1  # the last bit of the distances differs
@@ -174,7 +175,7 @@ def test_receding_cube_is_the_looming_cube_backwards():
     ],
 )
 def test_length_of_a_looming_clip(given, n_frames):
-    rows = list(SCENES["looming-ball"].configured(given).truth())
+    rows = list(SCENES["ball"].configured(given).truth())
     assert len(rows) == n_frames
     assert all(row.time_to_contact_s > 0.0 for row in rows)
 
