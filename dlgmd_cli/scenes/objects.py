@@ -69,8 +69,7 @@ class Approach(Scene):
             raise invalid("l_over_v", f"excludes {argument('speed')}", "Give one of them.")
         steps = (self.distance_m - self.end_m) / self.speed_m_s * self.fps
         if steps <= 0.0:
-            first = self.angles(0).size_deg
-            why = f"the object covers {first:.3g} degrees in the first frame"
+            why = f"the object covers {self.final_angle_deg:g} degrees in the first frame already"
             raise invalid("final_angle", why, f"Choose more, or a larger {argument('distance')}.")
         # The frame of contact itself does not count; 1e-6 is a margin for rounding.
         n_most = max(1, math.ceil(steps - 1e-6)) + (self.final_angle_deg is not None)

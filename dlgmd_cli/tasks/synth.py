@@ -207,6 +207,10 @@ class RenderedBenchmark(Outcome):
     videos: dict[str, BasicVideo]
     paths: tuple[Path, ...] = ()
 
+    def frames(self, name: str) -> GreyImage:
+        """The frames of a video, shape (50, 240, 432), by its name, such as ``"dark_looming"``."""
+        return next(one.frames for one in self.videos.values() if one.name == name)
+
     def __repr__(self) -> str:
         where = f" in {self.paths[-1].parent}" if self.paths else ""
         return f"<RenderedBenchmark of {counted(len(self.videos), 'video')}{where}>"
