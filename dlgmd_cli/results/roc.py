@@ -24,11 +24,11 @@ AUC, ROC = "auc.csv", "roc.csv"
 FRAMES, VIDEOS = "frames", "videos"
 # Maximum number of levels of a curve and of the resamples: equal shares of the responses.
 _MAX_LEVELS = 1000
-_AUC_COLUMNS = (
+AUC_COLUMNS = (
     *("model", "by", "positives", "negatives"),
     *("auc", "auc_low", "auc_high", "ap", "ap_low", "ap_high"),
 )
-_ROC_COLUMNS = ("model", "by", "response", "false_positive_rate", "recall", "precision")
+ROC_COLUMNS = ("model", "by", "response", "false_positive_rate", "recall", "precision")
 
 
 class Judged(NamedTuple):
@@ -159,7 +159,7 @@ def cells(found: Separations) -> Cells:
     areas: list[list[Cell]] = [
         [label, by, s.positives, s.negatives, *s.auc, *s.ap] for label, by, s in every
     ]
-    return {AUC: (_AUC_COLUMNS, areas), ROC: (_ROC_COLUMNS, _points(every))}
+    return {AUC: (AUC_COLUMNS, areas), ROC: (ROC_COLUMNS, _points(every))}
 
 
 def _points(every: Sequence[tuple[str, str, Separation]]) -> Iterator[list[Cell]]:

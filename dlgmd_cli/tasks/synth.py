@@ -23,7 +23,7 @@ from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
 from dlgmd_cli.results.benchmark import ANNOTATIONS, TRUTH
 from dlgmd_cli.results.csv import Cells, Table, table_of
-from dlgmd_cli.results.outcome import Outcome
+from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.scenes.benchmark import FPS as BASIC_FPS
 from dlgmd_cli.scenes.benchmark import BasicVideo, basic_videos
 from dlgmd_cli.scenes.objects import SCENES, find_scene
@@ -199,7 +199,7 @@ class RenderedBenchmark(Outcome):
     Attributes
     ----------
     videos : dict of str to BasicVideo
-        The videos, with `frames` and `truth`, by class and name.
+        The videos, with `name`, `frames` and `truth`, by class and name.
     paths : tuple of Path
         The files, annotations.json last.
     """
@@ -207,13 +207,19 @@ class RenderedBenchmark(Outcome):
     videos: dict[str, BasicVideo]
     paths: tuple[Path, ...] = ()
 
-    def frames(self, name: str) -> GreyImage:
-        """The frames of a video, shape (50, 240, 432), by its name, such as ``"dark_looming"``."""
-        return next(one.frames for one in self.videos.values() if one.name == name)
+    @property
+    def frames(self) -> npt.NDArray[np.uint8]:
+        """The frames of all videos, shape (16, 50, 240, 432)."""
+        return np.stack([one.frames for one in self.videos.values()])
 
     def __repr__(self) -> str:
         where = f" in {self.paths[-1].parent}" if self.paths else ""
         return f"<RenderedBenchmark of {counted(len(self.videos), 'video')}{where}>"
+
+    def shown(self) -> Iterator[Shown]:
+        """The items that a terminal shows: the number of videos, and the annotations."""
+        yield f"{counted(len(self.videos), 'video')} in the folders of their classes"
+        yield from self.paths[-1:]
 
 
 def _write_benchmark(

@@ -32,6 +32,8 @@ from dlgmd_cli.tasks.stepping import responses, session_on
 _log = logging.getLogger(__name__)
 
 RESPONSES = "responses.json"
+COLUMNS = ("model", "class", "videos", "sa", "rank")
+OF_SEQUENCES = ("model", "class", "video", "frames", "sa")
 # Every frame is read, and a model gets it in its full size.
 _WHOLE: dict[str, Any] = {"scale": 1.0, "fps": "all", "repeats": "keep"}
 _TAKEN = ("input_fps", "decoder")
@@ -219,8 +221,8 @@ class Benchmark(Outcome):
             for one in self.sequences
         ]
         return {
-            "benchmark.csv": (("model", "class", "videos", "sa", "rank"), rows),
-            "sequences.csv": (("model", "class", "video", "frames", "sa"), by_video),
+            "benchmark.csv": (COLUMNS, rows),
+            "sequences.csv": (OF_SEQUENCES, by_video),
             **roc.cells(self.separations),
         }
 
