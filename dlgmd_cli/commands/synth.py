@@ -29,8 +29,8 @@ _SCENE_OPTIONS: dict[str, tuple[click.ParamType | type, str | None, str]] = {
     "final-angle": (float, "DEG", "Angular size at which the motion ends.  [default: contact]"),
     "object-size": (float, "S", "Side or diameter of the object in m; in px where nothing "
         "approaches: the width of a bar or stripe, the side of a square, the thickness of what "
-        "grows.  [default: 0.5 m; a ninth of the height; 20 px for a stripe; nine tenths of the "
-        "height for what grows]"),
+        "grows.  [default: 0.5 m; a ninth of the height, nine tenths of "
+        "it for what grows]"),
     "vertical": (bool, None, "Move, grow or drift downwards instead of to the right."),
     "contrast": (float, "C", "Weber contrast: the object is 1 + C times as bright as the "
         "background.  [default: -0.75]"),

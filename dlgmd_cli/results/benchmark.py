@@ -129,12 +129,9 @@ def _truth(entry: Any) -> Series | str:
     values = entry.get(TRUTH) if isinstance(entry, Mapping) else None
     if not isinstance(values, list) or not values:
         return f"it has no list {TRUTH}"
-    if any(isinstance(value, bool) or not isinstance(value, int | float) for value in values):
-        return f"its {TRUTH} has a value that is no number"
-    truth = np.array(values, np.float64)
-    if not ((truth >= REST) & (truth <= 1.0)).all():
-        return f"its {TRUTH} has a value outside 0.5 to 1"
-    return truth
+    if not all(isinstance(value, int | float) and REST <= value <= 1.0 for value in values):
+        return f"its {TRUTH} has a value that is no number from 0.5 to 1"
+    return np.array(values, np.float64)
 
 
 def unlisted(path: Path, names: set[str]) -> list[str]:

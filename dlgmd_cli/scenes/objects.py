@@ -135,8 +135,15 @@ class Approach(Scene):
 
 @dataclass(frozen=True)
 class Flat(Scene):
-    """A scene in the plane of the image, in px; with `vertical`, rows and columns are exchanged."""
+    """A scene in the plane of the image, in px; with `vertical`, rows and columns are exchanged.
 
+    The size is a `SHARE` of the height by default.
+    """
+
+    SHARE: ClassVar[float] = 1.0 / 9.0
+    object_size_px: float | None = option(
+        None, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True
+    )
     vertical: bool = option(False, "vertical", kind=bool)
 
     @property
@@ -144,6 +151,15 @@ class Flat(Scene):
         """Height and width in px as if the motion were along the width."""
         height, width = self.shape
         return (width, height) if self.vertical else (height, width)
+
+    @property
+    def side_px(self) -> float:
+        """The size in px."""
+        return self.SHARE * self.plane[0] if self.object_size_px is None else self.object_size_px
+
+    def n_moving(self) -> int:
+        """Number of frames: 75 unless asked for."""
+        return self.n_moving_asked
 
     def patches(self, place: int) -> Iterator[Patch]:
         """The objects in one frame of the motion."""
@@ -157,6 +173,10 @@ class Flat(Scene):
     def angle_deg(self, size_px: float) -> float:
         """The angular size of so many px in the middle of the image."""
         return math.degrees(2.0 * math.atan2(size_px, 2.0 * self.focal_px))
+
+    def angles(self, place: int) -> Angles:
+        """What the size subtends in the middle of the image."""
+        return Angles(self.angle_deg(self.side_px))
 
     def n_within(self, room: int, why: str, hint: str) -> int:
         """The number of frames of a motion that the image has room for, 75 unless asked for."""
@@ -173,18 +193,10 @@ class Translation(Flat):
     of the height by default. A bar is as high as its share of the image.
     """
 
-    object_size_px: float | None = option(
-        None, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True
-    )
     speeds_px: tuple[float, ...] = option(
         (1.0, 2.0, 3.0, 4.0), "speed", -MAX_SIDE_PX, MAX_SIDE_PX, unit="px/frame"
     )
     is_bar: bool = False
-
-    @property
-    def side_px(self) -> float:
-        """Side of the squares, or width of the bars, in px."""
-        return self.plane[0] / 9.0 if self.object_size_px is None else self.object_size_px
 
     def n_moving(self) -> int:
         """Number of frames: as many as the image has room for, 75 at most unless asked for."""
@@ -217,10 +229,6 @@ class Translation(Flat):
             center_yx = (row + 0.5) * row_height, width / 2.0 + speed * from_middle
             yield rectangle(self.plane, center_yx, size_yx)
 
-    def angles(self, place: int) -> Angles:
-        """What a square or the width of a bar subtends in the middle of the image."""
-        return Angles(self.angle_deg(self.side_px))
-
 
 @dataclass(frozen=True)
 class Deformation(Flat):
@@ -229,9 +237,7 @@ class Deformation(Flat):
     The size is that of the fixed edge, nine tenths of the height by default.
     """
 
-    object_size_px: float | None = option(
-        None, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True
-    )
+    SHARE: ClassVar[float] = 0.9
     speed_px: float = option(4.0, "speed", 0, MAX_SIDE_PX, unit="px/frame", low_open=True)
 
     def n_moving(self) -> int:
@@ -247,10 +253,8 @@ class Deformation(Flat):
 
     def drawn(self, place: int) -> Iterator[Patch]:
         """The rectangle, from the left border on."""
-        height, _ = self.plane
-        thick = 0.9 * height if self.object_size_px is None else self.object_size_px
         length = self._length_px(place)
-        yield rectangle(self.plane, (height / 2.0, length / 2.0), (thick, length))
+        yield rectangle(self.plane, (self.plane[0] / 2.0, length / 2.0), (self.side_px, length))
 
     def angles(self, place: int) -> Angles:
         """What the length subtends, as if it were in the middle of the image."""
@@ -263,54 +267,28 @@ class Deformation(Flat):
 class Grating(Flat):
     """Upright stripes that drift; the size is the width of a stripe, half of the period."""
 
-    object_size_px: float = option(20.0, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True)
     speed_px: float = option(4.0, "speed", -MAX_SIDE_PX, MAX_SIDE_PX, unit="px/frame")
-
-    def n_moving(self) -> int:
-        """Number of frames: 75 unless asked for."""
-        return self.n_moving_asked
 
     def drawn(self, place: int) -> Iterator[Patch]:
         """All stripes."""
-        yield stripes(self.plane, self.speed_px * place, self.object_size_px)
-
-    def angles(self, place: int) -> Angles:
-        """What a stripe subtends in the middle of the image."""
-        return Angles(self.angle_deg(self.object_size_px))
+        yield stripes(self.plane, self.speed_px * place, self.side_px)
 
 
 @dataclass(frozen=True)
 class Rotation(Flat):
     """A bar that turns about the middle of the image, clockwise for speeds above 0.
 
-    Its length is nine tenths of the height. The size is its width, a ninth of the height by
-    default.
+    Its length is nine tenths of the height, and the size is its width.
     """
 
-    object_size_px: float | None = option(
-        None, "object_size", 0, MAX_SIDE_PX, unit="px", low_open=True
-    )
     speed_deg: float = option(3.0, "speed", -180, 180, unit="degrees/frame")
-
-    @property
-    def _sides_px(self) -> tuple[float, float]:
-        height = min(self.shape)
-        width = height / 9.0 if self.object_size_px is None else self.object_size_px
-        return width, 0.9 * height
-
-    def n_moving(self) -> int:
-        """Number of frames: 75 unless asked for."""
-        return self.n_moving_asked
 
     def drawn(self, place: int) -> Iterator[Patch]:
         """The bar, along the width in the first frame."""
-        middle_yx = self.plane[0] / 2.0, self.plane[1] / 2.0
-        turn = math.radians(self.speed_deg * place)
-        yield bar(self.plane, middle_yx, self._sides_px, -turn if self.vertical else turn)
-
-    def angles(self, place: int) -> Angles:
-        """What the length of the bar subtends."""
-        return Angles(self.angle_deg(max(self._sides_px)))
+        height, width = self.plane
+        turn = math.radians(-self.speed_deg if self.vertical else self.speed_deg) * place
+        size_yx = self.side_px, 0.9 * self.shape[0]
+        yield bar(self.plane, (height / 2.0, width / 2.0), size_yx, turn)
 
 
 _ALL: tuple[Scene, ...] = (

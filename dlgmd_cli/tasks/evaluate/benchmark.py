@@ -4,11 +4,11 @@ import json
 import logging
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -39,7 +39,7 @@ _WHOLE: dict[str, Any] = {"scale": 1.0, "fps": "all", "repeats": "keep"}
 _TAKEN = ("input_fps", "decoder")
 
 
-def evaluate_benchmark(
+def score_benchmark(
     annotations: Path,
     model: ModelName | ModelNames | None,
     formulation: str | None,
@@ -47,16 +47,12 @@ def evaluate_benchmark(
     options: Mapping[str, Any],
     *,
     jobs: int | None,
-    out: Path | None,
-    formats: Iterable[str],
-    dpi: int,
-    width: Literal["one", "two"],
-    overwrite: bool,
     progress: Progress,
 ) -> "Benchmark":
     """Score models on the videos of ``annotations.json``; for the arguments, see `evaluate`.
 
-    Raises SourceError if no video can be scored, and the errors of `evaluate`.
+    Logs which videos cannot be scored. Raises SourceError if none can, and the errors of
+    `evaluate`.
     """
     refuse(
         {name: value for name, value in options.items() if name not in _TAKEN},
@@ -69,25 +65,6 @@ def evaluate_benchmark(
         create_model(setup.params)  # raises now if a custom model cannot be created
     request = replace(request, setups=tuple(setups))
     sequences, failed = benchmark.read_annotations(annotations)
-    if out is None:
-        return _scored(annotations, request, sequences, failed, jobs, progress)
-    formats = store.known_formats(formats)
-    names = Benchmark.own_files(formats)
-    with store.claimed(out, Benchmark.RECORD, names=names, overwrite=overwrite) as claim:
-        found = _scored(annotations, request, sequences, failed, jobs, progress)
-        found.write(claim, found.files(formats, dpi, width=width))
-    return found
-
-
-def _scored(
-    annotations: Path,
-    request: Request,
-    sequences: Sequence[benchmark.Sequence],
-    failed: dict[str, str],
-    jobs: int | None,
-    progress: Progress,
-) -> "Benchmark":
-    """The responses of all models; logs which videos cannot be scored."""
     by_name = {}
     with progress("evaluate", len(sequences), "video") as advance:
         outcomes = results_of(partial(_responses, request), sequences, jobs)
@@ -111,7 +88,7 @@ def _scored(
     scored = [one for one in sequences if one.name in by_name]
     of_models = {
         setup.label: {one.name: by_name[one.name][i] for one in scored}
-        for i, setup in enumerate(request.setups)
+        for i, setup in enumerate(setups)
     }
     return Benchmark(annotations, request, scored, of_models, failed)
 

@@ -31,7 +31,7 @@ from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.evaluate import tables
-from dlgmd_cli.tasks.evaluate.benchmark import Benchmark, evaluate_benchmark
+from dlgmd_cli.tasks.evaluate.benchmark import Benchmark, score_benchmark
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
     Candidates,
@@ -138,20 +138,16 @@ def evaluate(
         of_alarms |= {"tilt": tilt, "jerk": jerk, "react": react != 0.1}
         of_alarms |= {"max_false_per_min": max_false_per_min != 1.0}
         refuse(of_alarms, "has no effect on annotations, which say nothing of alarms")
-        return evaluate_benchmark(
-            Path(labels),
-            model,
-            formulation,
-            param,
-            options,
-            jobs=jobs,
-            out=None if out is None else Path(out),
-            formats=formats,
-            dpi=dpi,
-            width=width,
-            overwrite=overwrite,
-            progress=progress,
-        )
+        with ExitStack() as opened:
+            if out is not None:
+                names = Benchmark.own_files(store.known_formats(formats))
+                place = store.claimed(Path(out), Benchmark.RECORD, names=names, overwrite=overwrite)
+                claim = opened.enter_context(place)
+            asked = model, formulation, param, options
+            found = score_benchmark(Path(labels), *asked, jobs=jobs, progress=progress)
+            if out is not None:
+                found.write(claim, found.files(formats, dpi, width=width))
+        return found
     max_false_per_min = false_per_min(max_false_per_min)
     speed = None if speed_m_s is None else speed_of(speed_m_s)
     stopping = Stopping(
