@@ -194,7 +194,7 @@ def _write(
 
 @dataclass(eq=False, repr=False)
 class RenderedBenchmark(Outcome):
-    """The sixteen basic videos of the LGMD benchmark.
+    """The sixteen basic videos of the LGMD benchmark; `save` writes the frames of each as NAME.npy.
 
     Attributes
     ----------
@@ -215,6 +215,11 @@ class RenderedBenchmark(Outcome):
     def __repr__(self) -> str:
         where = f" in {self.paths[-1].parent}" if self.paths else ""
         return f"<RenderedBenchmark of {counted(len(self.videos), 'video')}{where}>"
+
+    def tables(self) -> dict[str, store.Write]:
+        """The functions that write the frames of each video."""
+        videos = self.videos.values()
+        return {f"{one.name}.npy": partial(_write_array, array=one.frames) for one in videos}
 
     def shown(self) -> Iterator[Shown]:
         """The items that a terminal shows: the number of videos, and the annotations."""

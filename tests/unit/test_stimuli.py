@@ -302,6 +302,8 @@ def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
     assert rate == 30 and np.array_equal(np.array(frames)[..., 1], found.frames[0])
     with pytest.raises(OutputExistsError):
         dlgmd_cli.synth("benchmark", out=tmp_path, lossless=True)
+    found.save(tmp_path / "saved")
+    assert np.array_equal(np.load(tmp_path / "saved/light_looming.npy"), found.frames[1])
     with pytest.raises(ParameterError, match="speed does not work with benchmark"):
         dlgmd_cli.synth("benchmark", speed=3)
 
@@ -312,6 +314,7 @@ def test_the_basic_videos_are_the_stored_ones_to_the_pixel():
         pytest.skip("DLGMD_REFERENCE is not set")
     stored = np.load(Path(folder) / "field" / "stimuli.npz")
     videos = dlgmd_cli.synth("benchmark")
+    assert videos.frames.shape == (16, 50, 240, 432)
     common = [one for one in videos.videos.values() if one.name in stored]
     assert len(common) == 8
     for one in common:

@@ -74,12 +74,7 @@ def score_benchmark(
             else:
                 by_name[one.name] = outcome
             advance(number)
-    alike: dict[str, list[str]] = {}
-    for name in sorted(failed):
-        alike.setdefault(re.sub(r"\d+", "", failed[name]), []).append(name)
-    for first, *others in alike.values():
-        more = f", as with {counted(len(others), 'further video')}" if others else ""
-        _log.error("%s: %s%s", first, failed[first], more)
+    _log_failed(failed)
     if not by_name:
         raise SourceError(str(annotations), "no video could be scored")
     if names := benchmark.unlisted(annotations, {*by_name, *failed}):
@@ -91,6 +86,16 @@ def score_benchmark(
         for i, setup in enumerate(setups)
     }
     return Benchmark(annotations, request, scored, of_models, failed)
+
+
+def _log_failed(failed: Mapping[str, str]) -> None:
+    """Log why videos cannot be scored: of those that differ only in numbers, the first one."""
+    alike: dict[str, list[str]] = {}
+    for name in sorted(failed):
+        alike.setdefault(re.sub(r"\d+", "", failed[name]), []).append(name)
+    for first, *others in alike.values():
+        more = f", as with {counted(len(others), 'further video')}" if others else ""
+        _log.error("%s: %s%s", first, failed[first], more)
 
 
 def _responses(request: Request, one: benchmark.Sequence) -> list[Series]:

@@ -133,18 +133,19 @@ def evaluate(
     >>> report = evaluate("flights/labels.csv", [9, "lgmd"])  # doctest: +SKIP
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
-    if Path(labels).suffix.lower() == ".json":
+    labels, formats = Path(labels), store.known_formats(formats)
+    if labels.suffix.lower() == ".json":
         of_alarms = {"results": results, "speed_m_s": speed_m_s, "brake": brake}
         of_alarms |= {"tilt": tilt, "jerk": jerk, "react": react != 0.1}
         of_alarms |= {"max_false_per_min": max_false_per_min != 1.0}
         refuse(of_alarms, "has no effect on annotations, which say nothing of alarms")
         with ExitStack() as opened:
             if out is not None:
-                names = Benchmark.own_files(store.known_formats(formats))
+                names = Benchmark.own_files(formats)
                 place = store.claimed(Path(out), Benchmark.RECORD, names=names, overwrite=overwrite)
                 claim = opened.enter_context(place)
             asked = model, formulation, param, options
-            found = score_benchmark(Path(labels), *asked, jobs=jobs, progress=progress)
+            found = score_benchmark(labels, *asked, jobs=jobs, progress=progress)
             if out is not None:
                 found.write(claim, found.files(formats, dpi, width=width))
         return found
@@ -158,7 +159,6 @@ def evaluate(
     if results is not None:
         given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
         refuse({**given, **options}, "does not work with results, which are there already")
-    labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
     every = [label for case in cases for label in case.labels]
     has_speed = speed is not None or any(label.speed_m_s for label in every)
