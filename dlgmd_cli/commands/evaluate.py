@@ -19,8 +19,10 @@ _OF_MODELS |= {"variants", "labels", "alarm", "threshold"}
 def _no_folder(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
     """Callback: raises BadParameter for a folder."""
     if value.is_dir():
-        meant = f"'dlgmd evaluate LABELS.csv --results {value}'"
-        why = f"{str(value)!r} is a folder, not a table of labels. For results, write {meant}."
+        meant = f"For results, write 'dlgmd evaluate LABELS.csv --results {value}'."
+        if (value / "annotations.json").is_file():
+            meant = f"Write 'dlgmd evaluate {value / 'annotations.json'}'."
+        why = f"{str(value)!r} is a folder, not a table of labels. {meant}"
         raise click.BadParameter(why, ctx, param)
     return value
 
@@ -102,6 +104,7 @@ def evaluate(
       dlgmd evaluate flights/labels.csv                     # the preset flight
       dlgmd evaluate flights/labels.csv --set 3 --set 9     # two models
       dlgmd evaluate flights/labels.csv --results out       # results of a batch
+      dlgmd evaluate lgmd/annotations.json --model all      # the LGMD benchmark
 
     LABELS.csv has the columns video (a path relative to the file), collision_frame (empty: no
     contact) and, optionally, approach_start (a frame), speed_m_s, brake (as --brake), fov,
@@ -131,12 +134,21 @@ def evaluate(
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
     and for each kind), alarms.csv (every onset and every missed contact; its columns are not those
-    of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), figures of the trade-off
-    (from ten contacts on), of the lead times and of the times to contact, and evaluate.yaml.
+    of 'dlgmd run'), ttc.csv (errors of the estimated times to contact), auc.csv and roc.csv (how
+    well the signal separates frames before a contact from others, and videos with a contact from
+    others), figures of the trade-off (from ten contacts on), of the lead times, of the times to
+    contact and of the ROC, and evaluate.yaml.
+
+    annotations.json, of the LGMD benchmark, has for each video, by its path, "ground_truth": a
+    value for each frame, 0.5 to 1. Every frame gets a response at its full size. The score SA of
+    each class, the means and the rank are printed, and written as benchmark.csv, sequences.csv,
+    responses.json, auc.csv, roc.csv, two figures and benchmark.yaml.
     """
     from dlgmd_cli.tasks.evaluate.evaluate import evaluate as task
 
     of_models = {"model": model, "jobs": jobs, **given}
+    if labels_path.suffix.lower() == ".json":
+        refuse_given({"alarm", "threshold", "baselines"}, "has no effect on annotations")
     if results is not None:
         refuse_given({*_OF_MODELS, *given}, "does not work with --results")
         of_models = {}

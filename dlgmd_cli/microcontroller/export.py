@@ -42,7 +42,7 @@ from dlgmd_cli.parameters.presets import (
 )
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.scenes import ball_approaches
+from dlgmd_cli.scenes.objects import ball_approaches
 from dlgmd_cli.tasks.call import ModelName, choose, options_for, require_measured, with_rule
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.base import parse_size

@@ -55,7 +55,7 @@ class Line(TypedDict, total=False):
     color: str
     linestyle: Dashes
     linewidth: float
-    drawstyle: Literal["default", "steps-post"]
+    drawstyle: Literal["default", "steps-post", "steps-pre"]
     alpha: float
     zorder: float
     marker: str

@@ -56,7 +56,7 @@ def interval(counts: npt.ArrayLike, of: npt.ArrayLike, what: str) -> tuple[Serie
     n = len(total)
     if n < (_LEAST_TIMES if what == "time" else 2):
         return np.full(every.shape[1:], np.nan), np.full(every.shape[1:], np.nan)
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+    drawn = resampled(n)
     above, below = drawn @ every, (drawn @ total).reshape(-1, *[1] * (every.ndim - 1))
     if what == "share":
         sides = above / (below + _UNSEEN), (above + _UNSEEN) / (below + _UNSEEN)
@@ -68,6 +68,23 @@ def interval(counts: npt.ArrayLike, of: npt.ArrayLike, what: str) -> tuple[Serie
     if what != "difference":
         low, high = _where_all_agree(np.asarray((every.T / total).T), what, low, high)
     return np.asarray(low), np.asarray(high)
+
+
+def resampled(n: int) -> npt.NDArray[np.int64]:
+    """How often each of n videos occurs in each resample, shape (N_RESAMPLES, n)."""
+    return np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+
+
+def of_resamples(values: Series, n_videos: int) -> tuple[float, float]:
+    """The 95 % interval of a measure from its values in `resampled` videos, NaN where undefined.
+
+    NaN with fewer than six videos, and if all resamples agree.
+    """
+    known = values[~np.isnan(values)]
+    if n_videos < _LEAST_TIMES or np.ptp(known) == 0.0:
+        return math.nan, math.nan
+    low, high = np.quantile(known, (_TAIL, 1.0 - _TAIL))
+    return float(low), float(high)
 
 
 def _where_all_agree(values: Series, what: str, low: Series, high: Series) -> tuple[Series, Series]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,14 +21,20 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import stating
 from dlgmd_cli.results import store
+from dlgmd_cli.results.benchmark import ANNOTATIONS, TRUTH
 from dlgmd_cli.results.csv import Cells, Table, table_of
-from dlgmd_cli.results.outcome import Outcome
-from dlgmd_cli.scenes import SCENES, Scene, Truth, find_scene, invalid
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.scenes.benchmark import FPS as BASIC_FPS
+from dlgmd_cli.scenes.benchmark import BasicVideo, basic_videos
+from dlgmd_cli.scenes.objects import SCENES, find_scene
+from dlgmd_cli.scenes.scene import Scene, Truth, invalid
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, write_video
 
 _log = logging.getLogger(__name__)
+
+BENCHMARK = "benchmark"
 
 
 @stating({n: f.type for one in SCENES.values() for n, f in one.options().items()})
@@ -39,13 +46,15 @@ def synth(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> RenderedClip:
+) -> RenderedClip | RenderedBenchmark:
     """Render a plain stimulus with its ground truth, as `dlgmd synth` does.
 
     Parameters
     ----------
     scene : str
-        ``"looming-cube"``, ``"receding-cube"``, ``"looming-ball"`` or ``"translating-cubes"``.
+        ``"looming"``, ``"receding"``, ``"ball"``, ``"capsule"``, ``"translating"``,
+        ``"translating-cubes"``, ``"elongating"``, ``"shortening"``, ``"grating"``, ``"rotating"``,
+        or ``"benchmark"``: the sixteen basic videos of the LGMD benchmark.
     out : str or path, optional
         Folder for the files of `dlgmd synth`, with `lossless` and `overwrite`. Without it, the
         images are kept in memory.
@@ -64,9 +73,15 @@ def synth(
 
     Examples
     --------
-    >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
+    >>> cube = synth("looming", speed=5)  # doctest: +SKIP
     >>> run(cube.frames, 9, fps=cube.fps)  # doctest: +SKIP
     """
+    if scene == BENCHMARK:
+        refuse(_of_scene(options), f"does not work with {BENCHMARK}, whose videos are as they are")
+        videos = RenderedBenchmark({f"{one.group}/{one.name}": one for one in basic_videos()})
+        if out is not None:
+            videos.paths = _write_benchmark(videos, Path(out), lossless, overwrite, progress)
+        return videos
     if options.get("noise") is None:
         refuse({"seed": options.get("seed")}, f"works only with {argument('noise')}")
     stimulus = find_scene(scene).configured(_of_scene(options))
@@ -129,7 +144,11 @@ def _write_array(path: Path, array: GreyImage) -> None:
 
 def _of_scene(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are set, in the form for scenes: sizes are (H, W)."""
-    given = {name: value for name, value in options.items() if value not in (None, ())}
+    given = {
+        name: value
+        for name, value in options.items()
+        if value is not None and value is not False and value != ()
+    }
     if "size" in given:
         given["size"] = parse_size(given["size"])[::-1]
     return given
@@ -171,6 +190,68 @@ def _write(
         for name, write in clip.tables().items():
             write(stage / name)
     return video, truth
+
+
+@dataclass(eq=False, repr=False)
+class RenderedBenchmark(Outcome):
+    """The sixteen basic videos of the LGMD benchmark; `save` writes the frames of each as NAME.npy.
+
+    Attributes
+    ----------
+    videos : dict of str to BasicVideo
+        The videos, with `name`, `frames` and `truth`, by class and name.
+    paths : tuple of Path
+        The files, annotations.json last.
+    """
+
+    videos: dict[str, BasicVideo]
+    paths: tuple[Path, ...] = ()
+
+    @property
+    def frames(self) -> npt.NDArray[np.uint8]:
+        """The frames of all videos, shape (16, 50, 240, 432)."""
+        return np.stack([one.frames for one in self.videos.values()])
+
+    def __repr__(self) -> str:
+        where = f" in {self.paths[-1].parent}" if self.paths else ""
+        return f"<RenderedBenchmark of {counted(len(self.videos), 'video')}{where}>"
+
+    def tables(self) -> dict[str, store.Write]:
+        """The functions that write the frames of each video."""
+        videos = self.videos.values()
+        return {f"{one.name}.npy": partial(_write_array, array=one.frames) for one in videos}
+
+    def shown(self) -> Iterator[Shown]:
+        """The items that a terminal shows: the number of videos, and the annotations."""
+        yield f"{counted(len(self.videos), 'video')} in the folders of their classes"
+        yield from self.paths[-1:]
+
+
+def _write_benchmark(
+    rendered: RenderedBenchmark, folder: Path, lossless: bool, overwrite: bool, progress: Progress
+) -> tuple[Path, ...]:
+    """Write the videos into the folders of their classes, and ``folder/annotations.json``."""
+    codec, suffix = ("ffv1", "avi") if lossless else ("mpeg4", "mp4")
+    names = {f"{name}.{suffix}": one for name, one in rendered.videos.items()}
+    truth = {name: {TRUTH: one.truth.tolist()} for name, one in names.items()}
+    with (
+        store.claimed(
+            folder, ANNOTATIONS, names=[*names, ANNOTATIONS], overwrite=overwrite
+        ) as all_,
+        progress(BENCHMARK, len(names), "video") as on_video,
+    ):
+        # The annotations are the record: they never stand beside other videos than theirs.
+        store.remove(folder, [ANNOTATIONS])
+        for group in dict.fromkeys(one.group for one in names.values()):
+            with store.claimed(folder / group) as claim, claim.staged() as stage:
+                for number, (name, one) in enumerate(names.items(), start=1):
+                    if one.group == group:
+                        cancel.check()
+                        on_video(number)
+                        path, shape = stage / Path(name).name, one.frames.shape[1:]
+                        write_video(path, iter(one.frames), shape, BASIC_FPS, codec=codec)
+        (last,) = all_.write({ANNOTATIONS: store.file_of(json.dumps(truth))})
+    return (*(folder / name for name in names), last)
 
 
 def _check_storable(codec: str, scene: Scene) -> None:

@@ -122,6 +122,16 @@ def test_tables(runs, footage):
     assert {row["kind"] for row in alarms} == {"announced", "further"}
     told = {(r["video"], r["collision_frame"]) for r in alarms if r["kind"] == "announced"}
     assert told == {("near.avi", "20"), ("twice.avi", "52")}
+    auc = {(row["model"], row["by"]): row for row in csv_rows("ev/auc.csv")}
+    assert auc.keys() == {(label, by) for label, _ in at for by in ("frames", "videos")}
+    own = auc["set3", "videos"]
+    assert (own["positives"], own["negatives"], own["auc"]) == ("2", "1", "1")
+    # Of near.avi and of the two approaches in twice.avi, and the still scene.
+    frames = auc["set3", "frames"]
+    assert int(frames["positives"]) > 2 * 12 and frames["negatives"] == "12"
+    assert 0.5 < float(frames["auc"]) < 1 and frames["auc_low"] == ""
+    roc = [r for r in csv_rows("ev/roc.csv") if (r["model"], r["by"]) == ("set3", "videos")]
+    assert [r["recall"] for r in roc] == ["0.5", "1", "1"]
     curve = [r for r in csv_rows("ev/curves.csv") if r["model"] == "set9"]
     assert float(curve[-1]["recall"]) == float(curve[-1]["false_alarms_per_min"]) == 0
     assert recorded()["models"][1]["kappa"] == 1e-4 and recorded()["max_false_per_min"] == 1.0

@@ -17,9 +17,12 @@ from dlgmd_cli import __version__
 from dlgmd_cli.commands import console
 from dlgmd_cli.commands.app import COMMANDS, HIDDEN, cli
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.results import roc
 from dlgmd_cli.results.csv import ALARM_COLUMNS, COMPARISON
-from dlgmd_cli.scenes import SCENES, Truth
+from dlgmd_cli.scenes.objects import SCENES
+from dlgmd_cli.scenes.scene import Truth
 from dlgmd_cli.tasks.batch.batch import SUMMARY_COLUMNS
+from dlgmd_cli.tasks.evaluate import benchmark
 from dlgmd_cli.tasks.evaluate import tables as scores
 
 README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
@@ -131,6 +134,10 @@ def test_every_column_is_explained():
     lines = re.findall(r"^- (`.*?): ", section, re.MULTILINE)
     explained = [name for line in lines for name in names_in(line)]
     declared = {*COMPARISON[1:], *ALARM_COLUMNS}
+    others = text_of("docs/columns.md").partition("\n## auc.csv and roc.csv\n")[2]
+    own = [n for line in re.findall(r"^- (`.*?): ", others, re.MULTILINE) for n in names_in(line)]
+    written = {*roc.AUC_COLUMNS, *roc.ROC_COLUMNS, *benchmark.COLUMNS, *benchmark.OF_SEQUENCES}
+    assert {*own} == written - {"model", "video"}
     assert len(explained) == len({*explained}) and {*explained} == columns - declared
 
 
@@ -150,6 +157,7 @@ def test_extras_and_scenes_and_their_truth():
     assert truth == [*Truth._fields]
     scenes = [n for row in table_below("docs/flights.md", "Scenes")[1:] for n in names_in(row[0])]
     assert {*scenes} == {*SCENES}
+    assert "\n`benchmark` is " in text_of("docs/flights.md")
 
 
 def test_the_first_page_has_the_version():

@@ -1,15 +1,22 @@
 """Scenes of plain objects: their shapes, their frames, and their ground truth."""
 
 import math
+import os
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from conftest import read_video
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.scenes import SCENES, disc, rectangle
+import dlgmd_cli
+from dlgmd_cli.errors import OutputExistsError, ParameterError
+from dlgmd_cli.results.benchmark import SYNTHETIC, read_annotations
+from dlgmd_cli.scenes.objects import SCENES
+from dlgmd_cli.scenes.shapes import disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"size": (48, 64), "frames": 6}
@@ -115,7 +122,7 @@ def test_contrast_is_webers(scene, contrast, background, grey):
     frame = list(shown.frames())[-1]
     found = {int(value) for value in np.unique(frame)}
     assert grey[1] in found and found <= set(range(min(grey), max(grey) + 1))
-    if not scene.name.startswith("receding"):  # it still fills the image
+    if not scene.name.startswith(("receding", "grating")):  # these may fill the corner
         assert frame[0, 0] == grey[0]
 
 
@@ -136,28 +143,28 @@ def test_values_that_only_python_can_give(name, value, why):
 # Objects that come closer or go away
 
 
-@pytest.mark.parametrize("name", ["looming-cube", "receding-cube", "looming-ball"])
+@pytest.mark.parametrize("name", ["looming", "receding", "ball"])
 def test_the_area_of_the_object_follows_from_the_distance(name):
     scene = SCENES[name]
     focal = scene.focal_px
     for frame, row in zip(scene.frames(), scene.truth(), strict=True):
         half = math.radians(row.angular_size_deg) / 2.0
         span = 2.0 * focal * math.tan(half)
-        distance = 0.1 + 3.0 * row.time_s if name == "receding-cube" else 7.5 - 3.0 * row.time_s
-        if name == "looming-ball":
+        distance = 0.1 + 3.0 * row.time_s if name == "receding" else 7.5 - 3.0 * row.time_s
+        if name == "ball":
             assert math.sin(half) == pytest.approx(0.25 / (distance + 0.25), rel=1e-9)
             area = math.pi * span**2 / 4 if span < 270.0 else None
         else:
             assert span == pytest.approx(focal * 0.5 / distance, rel=1e-9)
             area = min(span, 270.0) * min(span, 480.0)
-        if name != "receding-cube":
+        if name != "receding":
             assert row.time_to_contact_s == pytest.approx(distance / 3.0) and distance > 0.0
         if area is not None:
             assert darkness(frame, scene).sum() == pytest.approx(area, rel=1e-3)
 
 
 def test_receding_cube_is_the_looming_cube_backwards():
-    looming, receding = SCENES["looming-cube"], SCENES["receding-cube"]
+    looming, receding = SCENES["looming"], SCENES["receding"]
     there, back = looming.frames(), receding.frames()
     for a, b in zip(list(there)[::-1], back, strict=True):
         assert np.max(np.abs(a.astype(int) - b)) <= 1  # the last bit of the distances differs
@@ -174,7 +181,7 @@ def test_receding_cube_is_the_looming_cube_backwards():
     ],
 )
 def test_length_of_a_looming_clip(given, n_frames):
-    rows = list(SCENES["looming-ball"].configured(given).truth())
+    rows = list(SCENES["ball"].configured(given).truth())
     assert len(rows) == n_frames
     assert all(row.time_to_contact_s > 0.0 for row in rows)
 
@@ -195,3 +202,120 @@ def test_centroid_moves_by_exactly_the_speed():
     # An edge pixel is rounded to one of 153 levels, 1/30 of a side: 2 * 0.5 / 153 / 30 px * 15.
     assert np.allclose(np.diff(centroids, axis=0), [1.0, 2.5, -0.3], atol=0.004)
     assert np.allclose(centroids[37], 240.0, atol=0.004)
+
+
+def shown(name, **options):
+    """The scene with some options, and the share of each pixel that the object covers."""
+    scene = SCENES[name].configured({"size": (48, 64), **options})
+    ground = scene.ground
+    covered = [(f / 255.0 - ground) / (scene.object_luminance - ground) for f in scene.frames()]
+    return scene, np.stack(covered)
+
+
+def test_a_bar_spans_the_image_and_moves_either_way():
+    for options, size in (({}, 48), ({"vertical": True, "speed": (3.0,)}, 64)):
+        scene, covered = shown("translating", object_size=5.0, frames=9, **options)
+        along = covered.mean(axis=2 if scene.vertical else 1)
+        np.testing.assert_allclose(along.sum(axis=1), 5.0, atol=0.1)
+        centres = along @ (np.arange(along.shape[1]) + 0.5) / along.sum(axis=1)
+        np.testing.assert_allclose(np.diff(centres), scene.speeds_px[0], atol=0.05)
+        assert covered.max(axis=1 if scene.vertical else 2).shape[1] == size
+
+
+def test_what_grows_shrinks_backwards():
+    _, grows = shown("elongating", object_size=20.0, speed=5.0, light=True)
+    np.testing.assert_allclose(grows.sum(axis=(1, 2)), 100.0 * np.arange(1, 13), atol=3)
+    _, shrinks = shown("shortening", object_size=20.0, speed=5.0, light=True)
+    np.testing.assert_array_equal(shrinks, grows[::-1])
+
+
+def test_stripes_are_as_wide_as_their_gaps_and_drift():
+    _, covered = shown("grating", object_size=8.0, speed=-2.5, frames=5)
+    assert covered.mean() == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_allclose(covered[4], np.roll(covered[0], -10, axis=1), atol=0.01)
+
+
+def test_a_bar_turns_about_the_middle():
+    _, covered = shown("rotating", object_size=6.0, speed=30.0, frames=4)
+    np.testing.assert_allclose(covered.sum(axis=(1, 2)), 6.0 * 0.9 * 48, rtol=0.02)
+    np.testing.assert_allclose(covered[3], covered[3, ::-1], atol=0.01)
+    rows, columns = covered.max(axis=2).sum(axis=1), covered.max(axis=1).sum(axis=1)
+    assert rows[0] == pytest.approx(6, abs=0.1) and columns[3] == pytest.approx(6, abs=0.1)
+    assert covered[1, 24 + 8, 32 + 14] > 0.9 > 0.1 > covered[1, 24 - 8, 32 + 14]  # clockwise
+
+
+def test_a_capsule_is_three_diameters_long():
+    scene, covered = shown("capsule", frames=1, distance=1.5, fov=90)
+    across = scene.focal_px * 2 * math.tan(math.radians(scene.angles(0).size_deg / 2))
+    area = 2 * across**2 + math.pi * across**2 / 4
+    assert covered.sum() == pytest.approx(area, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["looming", "ball", "capsule"])
+def test_an_approach_ends_at_its_final_angle_and_is_held(name):
+    rows = list(SCENES[name].configured({"final_angle": 40, "hold": 0.5, "l_over_v": 0.05}).truth())
+    moving, held = rows[:-15], rows[-15:]
+    assert {row.angular_size_deg for row in held} == {moving[-1].angular_size_deg}
+    assert held[0].angular_size_deg == pytest.approx(40)
+    assert moving[-2].angular_size_deg < 39.9
+    assert all(row.angular_velocity_deg_s == 0 for row in held)
+    assert all(math.isnan(row.time_to_contact_s) for row in held)
+    assert moving[0].time_to_contact_s == pytest.approx(7.5 / (0.25 / 0.05))
+    back = [*SCENES["receding"].configured({"final_angle": 40, "hold": 0.5}).truth()]
+    assert [row.angular_velocity_deg_s for row in back[:15]] == [0] * 15
+    assert back[15].angular_size_deg == pytest.approx(40)
+    assert back[16].angular_size_deg < 40 and back[-1].angular_velocity_deg_s < 0
+
+
+def test_light_exchanges_the_luminances_and_an_image_is_the_background(tmp_path):
+    dark, light = (next(SCENES["ball"].configured({"light": on}).frames()) for on in (False, True))
+    assert (dark[0, 0], dark[135, 240], light[0, 0], light[135, 240]) == (204, 51, 51, 204)
+    picture = np.tile(np.arange(100, 164, dtype=np.uint8), (96, 1))
+    cv2.imwrite(str(tmp_path / "room.png"), picture)
+    given = {"size": (48, 64), "background_image": str(tmp_path / "room.png"), "contrast": -0.5}
+    frame = next(SCENES["ball"].configured(given).frames())
+    np.testing.assert_array_equal(frame[0], picture[0])
+    assert frame[24, 32] == pytest.approx(131.5 / 2, abs=1)
+    for options, why in (
+        ({**given, "light": True}, "excludes background_image"),
+        ({"background_image": str(tmp_path)}, "cannot be read as an image"),
+        ({"l_over_v": 0.1, "speed": 2}, "excludes speed"),
+        ({"final_angle": 1}, "covers 1 degrees in the first frame already"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            SCENES["ball"].configured(options)
+
+
+# The basic videos of the benchmark
+
+
+def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
+    found = dlgmd_cli.synth("benchmark", out=tmp_path, lossless=True)
+    assert len(found.videos) == len(found.paths) - 1 == 16
+    sequences, failed = read_annotations(tmp_path / "annotations.json")
+    assert len(sequences) == 16 and not failed
+    assert {one.group for one in sequences} == {*SYNTHETIC[:4]}
+    for one in sequences:
+        approaches = "looming" in one.name
+        assert one.truth.tolist() == ([0.5] + [1] * 45 + [0.5] * 4 if approaches else [0.5] * 50)
+    rate, frames = read_video(tmp_path / sequences[0].name)
+    assert rate == 30 and np.array_equal(np.array(frames)[..., 1], found.frames[0])
+    with pytest.raises(OutputExistsError):
+        dlgmd_cli.synth("benchmark", out=tmp_path, lossless=True)
+    found.save(tmp_path / "saved")
+    assert np.array_equal(np.load(tmp_path / "saved/light_looming.npy"), found.frames[1])
+    with pytest.raises(ParameterError, match="speed does not work with benchmark"):
+        dlgmd_cli.synth("benchmark", speed=3)
+
+
+def test_the_basic_videos_are_the_stored_ones_to_the_pixel():
+    folder = os.environ.get("DLGMD_REFERENCE")
+    if folder is None:
+        pytest.skip("DLGMD_REFERENCE is not set")
+    stored = np.load(Path(folder) / "field" / "stimuli.npz")
+    videos = dlgmd_cli.synth("benchmark")
+    assert videos.frames.shape == (16, 50, 240, 432)
+    common = [one for one in videos.videos.values() if one.name in stored]
+    assert len(common) == 8
+    for one in common:
+        np.testing.assert_array_equal(one.frames, stored[one.name])

@@ -19,7 +19,7 @@ from dlgmd_cli.models.own_rules import Stored
 from dlgmd_cli.models.stopping import BRAKES, Brake, brake_of, speed_of
 from dlgmd_cli.parameters.checks import Spec, in_argument, refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
-from dlgmd_cli.results import scoring, store, tradeoff
+from dlgmd_cli.results import roc, scoring, store, tradeoff
 from dlgmd_cli.results.csv import Cell, Cells, Table, table_of
 from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.labels import ALL, GROUPED, VideoGroup, groups, read_cases
@@ -31,6 +31,7 @@ from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, ModelNames, Progress, no_progress
 from dlgmd_cli.tasks.evaluate import tables
+from dlgmd_cli.tasks.evaluate.benchmark import Benchmark, score_benchmark
 from dlgmd_cli.tasks.evaluate.candidates import (
     Candidate,
     Candidates,
@@ -76,7 +77,7 @@ def evaluate(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> Evaluation:
+) -> Evaluation | Benchmark:
     """Score alarms against labelled contacts; `dlgmd evaluate --help` has the rules.
 
     Parameters
@@ -85,7 +86,8 @@ def evaluate(
         A CSV with the columns ``video,collision_frame``, paths relative to it; ``approach_start``,
         ``speed_m_s``, ``brake``, ``fov``, ``camera_tilt``, ``target``, ``kind`` and ``manner`` are
         optional.
-        True distances in the folder ``truth`` beside the CSV can justify an alarm.
+        True distances in the folder ``truth`` beside the CSV can justify an alarm. Or the
+        ``annotations.json`` of the LGMD benchmark: responses are scored, not alarms.
     model, formulation, param
         The models, as in `run`. Their labels include the parameters in `param`.
     results : str or path, optional
@@ -110,7 +112,7 @@ def evaluate(
 
     Returns
     -------
-    Evaluation
+    Evaluation, or Benchmark for annotations
         `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays with the columns
         of the files. `plot` draws figures, and `save` writes all files. `failed` has the videos
         that are left out, with the reasons.
@@ -131,6 +133,22 @@ def evaluate(
     >>> report = evaluate("flights/labels.csv", [9, "lgmd"])  # doctest: +SKIP
     >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
     """
+    labels, formats = Path(labels), store.known_formats(formats)
+    if labels.suffix.lower() == ".json":
+        of_alarms = {"results": results, "speed_m_s": speed_m_s, "brake": brake}
+        of_alarms |= {"tilt": tilt, "jerk": jerk, "react": react != 0.1}
+        of_alarms |= {"max_false_per_min": max_false_per_min != 1.0}
+        refuse(of_alarms, "has no effect on annotations, which say nothing of alarms")
+        with ExitStack() as opened:
+            if out is not None:
+                names = Benchmark.own_files(formats)
+                place = store.claimed(Path(out), Benchmark.RECORD, names=names, overwrite=overwrite)
+                claim = opened.enter_context(place)
+            asked = model, formulation, param, options
+            found = score_benchmark(labels, *asked, jobs=jobs, progress=progress)
+            if out is not None:
+                found.write(claim, found.files(formats, dpi, width=width))
+        return found
     max_false_per_min = false_per_min(max_false_per_min)
     speed = None if speed_m_s is None else speed_of(speed_m_s)
     stopping = Stopping(
@@ -141,7 +159,6 @@ def evaluate(
     if results is not None:
         given = {"model": model, "param": param, "formulation": formulation, "jobs": jobs}
         refuse({**given, **options}, "does not work with results, which are there already")
-    labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
     every = [label for case in cases for label in case.labels]
     has_speed = speed is not None or any(label.speed_m_s for label in every)
@@ -195,15 +212,19 @@ class Evaluation(Outcome):
         The rows of evaluate.csv; the rows of `all` videos come first.
     curves : dict of str to dict of str to Curve
         The curves of each candidate: of `all` videos, and of each kind.
+    separations : dict of str to dict of str to Separation
+        How well each candidate's signal separates `frames` before a contact from others, and
+        `videos` with a contact from others.
     """
 
     RECORD = "evaluate.yaml"
-    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv")
+    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", roc.AUC, roc.ROC)
     STEM = "evaluate-{}"
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
         "leads": "evaluation.leads",
         "ttc": "evaluation.times_to_contact",
+        "roc": "separation.curves",
     }
 
     candidates: Candidates
@@ -211,6 +232,7 @@ class Evaluation(Outcome):
     labels: Path
     rows: list[Row] = field(init=False, default_factory=list)
     curves: dict[str, dict[str, Curve]] = field(init=False, default_factory=dict)
+    separations: roc.Separations = field(init=False)
 
     def __post_init__(self) -> None:
         """Score every candidate on its videos, at least one."""
@@ -225,6 +247,12 @@ class Evaluation(Outcome):
                 tallies = self._tallies(label, strength)
                 self.rows.extend(tables.score_rows(candidate, at, strength, tallies, members))
         self.rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
+        self.separations = roc.separations(
+            {
+                label: [roc.judged(signal) for signal in self.candidates.signals(label)]
+                for label in self.candidates.by_label
+            }
+        )
 
     def _best(self, candidate: Candidate, members: Mapping[VideoGroup, Iterable[int]]) -> float:
         """Draw the curves of a candidate; returns the strength at the best threshold."""
@@ -336,6 +364,7 @@ class Evaluation(Outcome):
             "curves.csv": (tables.CURVE_COLUMNS, self._curve_rows()),
             "alarms.csv": (tables.SCORED_ALARM_COLUMNS, self._alarm_rows()),
             "ttc.csv": (tables.TTC_COLUMNS, self._ttc_rows()),
+            **roc.cells(self.separations),
         }
 
     def _ttc_rows(self) -> list[list[Any]]:
@@ -378,6 +407,8 @@ class Evaluation(Outcome):
             why["trade-off"] = f"recall over false alarms needs {min_contacts} contacts"
         if not self._ttc_rows():
             why["ttc"] = "no model estimates the time to contact before a contact"
+        if roc.table(self.separations) is None:
+            why["roc"] = "the ROC needs frames before a contact, and others"
         return why
 
     def figure_names(self) -> dict[str, str]:
@@ -387,6 +418,8 @@ class Evaluation(Outcome):
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The arguments of each kind of figure, see `plots.evaluation`."""
+        if kind == "roc":
+            return (self.separations,)
         if kind == "leads":
             leads_s = {}
             for label, candidate in self.candidates.by_label.items():
@@ -448,6 +481,9 @@ class Evaluation(Outcome):
             yield ("model", "recall", "false/min"), cells
         for word in GROUPED:
             yield from self._shown_by(word)
+        if areas := roc.table(self.separations):
+            yield "Frames before a contact against others, and videos, at all thresholds (95 %):"
+            yield areas
         if any(path.suffix[1:] in FIGURE_FORMATS for path in self.paths):
             yield from (f"Not drawn: {why}." for why in self._lacking().values())
         yield from self.paths
@@ -517,7 +553,7 @@ class Evaluation(Outcome):
         for word in GROUPED:
             mains = {name: self.main(label, **{word: name}) for name in self.names(word)}
             facts[f"by_{word}"] = {name: scores_json(row) for name, row in mains.items()}
-        return facts
+        return {**facts, **roc.areas_json(self.separations[label])}
 
 
 def _json(row: Row) -> dict[str, Json]:

@@ -45,7 +45,7 @@ from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.files import FIGURE_FORMATS
 from dlgmd_cli.results.grid import AxisText, Grid
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.scenes import cube_clips
+from dlgmd_cli.scenes.objects import cube_clips
 from dlgmd_cli.tasks import call
 from dlgmd_cli.tasks.call import ModelName, Progress, Request, no_progress
 from dlgmd_cli.tasks.describing import identified, input_record
