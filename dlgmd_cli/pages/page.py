@@ -34,7 +34,7 @@ _SUMMARY_WORDS = {
     "first_alarm_time_s": "first alarm (s)",
     "first_alarm_side": "image region of the first alarm",
     "first_alarm_ttc_s": "time to contact then (s)",
-    "blind_share": "share of the time without an all-clear",
+    "blind_share": "share of the time with a reason in blind",
     "mp_max": "peak MP",
     "mp_max_frame": "frame of the peak",
     "mp_max_time_s": "time of the peak (s)",
