@@ -517,8 +517,7 @@ class Result(Outcome):
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list, self.rule)),
-            *self._held_back(),
-            *self._blindness(),
+            *self.silences.items(),
             ("frames", frames),
             *self._camera(),
             ("peak MP", peak),
@@ -527,6 +526,11 @@ class Result(Outcome):
         ]
         yield ("", ""), rows
         yield from self.paths
+
+    @property
+    def silences(self) -> dict[str, str]:
+        """Where an alarm may be missing: `no alarm`, what held it back; `blind`, and why."""
+        return dict((*self._held_back(), *self._blindness()))
 
     def _held_back(self) -> Iterator[tuple[str, str]]:
         """The row of the longest stretch in `held`, if any."""
