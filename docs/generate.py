@@ -33,10 +33,11 @@ _TIMEOUT_S = 120
 
 
 def _run(commands: str, folder: Path) -> str:
-    """What commands print, without machine paths."""
+    """What commands print, without machine paths; of a line that installs first, its last one."""
     printed = ""
-    for line in commands.splitlines():
-        words = [sys.executable, "-m", "dlgmd_cli", *shlex.split(line, comments=True)[1:]]
+    for line in re.sub(r"\\\n *", "", commands).splitlines():
+        command = shlex.split(line.split(" && ")[-1], comments=True)
+        words = [sys.executable, "-m", "dlgmd_cli", *command[1:]]
         done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S)
         if done.returncode:
             raise SystemExit(f"{line}: exit code {done.returncode}\n{done.stderr}")

@@ -63,14 +63,12 @@ def files(record: str) -> str:
 
 
 def columns(of: str) -> str:
-    """The columns that the code declares, of a `run` or an `alarm`: unit, type, tables, meaning."""
-    declared = columns_of(AlarmSpan) if of == "alarm" else COLUMNS
-    header = ["column", "unit", "type", "in", "meaning"]
-    rows = [
-        [f"`{one.name}`", one.unit, one.kind.__name__, ", ".join(one.tables), one.meaning]
-        for one in declared
-    ]
-    return table(header, rows)
+    """The columns that the code declares, of a `run` or an `alarm`: unit, tables, meaning."""
+    if of == "alarm":
+        rows = [[f"`{one.name}`", one.unit, one.meaning] for one in columns_of(AlarmSpan)]
+        return table(["column", "unit", "meaning"], rows)
+    rows = [[f"`{c.name}`", c.unit, ", ".join(c.tables), c.meaning] for c in COLUMNS]
+    return table(["column", "unit", "in", "meaning"], rows)
 
 
 def rules() -> str:

@@ -36,9 +36,9 @@ def commands(page, *kinds):
 def commands_in(content):
     """The dlgmd commands in a block, as lines, and the file that each fills."""
     for line in re.sub(r"\\\n *", "", content).splitlines():
-        words = shlex.split(line, comments=True)
-        if words[:1] == ["dlgmd"]:
-            command, _, target = shlex.join(words).partition(" '>' ")
+        words = shlex.split(line.split(" && ")[-1], comments=True)
+        if words[:1] in (["dlgmd"], [".venv/bin/dlgmd"]):
+            command, _, target = shlex.join(["dlgmd", *words[1:]]).partition(" '>' ")
             yield command, target
 
 

@@ -77,9 +77,9 @@ class Detection(Measured, Response):
     )
     blind: str = column(
         "–",
-        "why no alarm is no all-clear: `unmeasured` if `expansion_quality` has been below 0.25 for "
-        "0.7 s without an alarm of a rule that uses the expansion; in `live`, also another reason "
-        "of [Health](live.md#health); empty for none",
+        "why a collision would raise no alarm: `unmeasured` if `expansion_quality` has been below "
+        "0.25 for 0.7 s, with a rule that uses the expansion; in `live`, also another reason of "
+        "[Health](live.md#health); empty for none, and during an alarm",
         kind=str,
         default="",
     )

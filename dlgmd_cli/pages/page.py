@@ -34,7 +34,7 @@ _SUMMARY_WORDS = {
     "first_alarm_time_s": "first alarm (s)",
     "first_alarm_side": "image region of the first alarm",
     "first_alarm_ttc_s": "time to contact then (s)",
-    "blind_share": "share of the time without an all-clear",
+    "blind_share": "share of the time with a reason in blind",
     "mp_max": "peak MP",
     "mp_max_frame": "frame of the peak",
     "mp_max_time_s": "time of the peak (s)",
@@ -158,6 +158,7 @@ def index_rows(
                 "n_alarms": len(alarms),
                 "alarms": alarms[:_MAX_LISTED],
                 "peaks": [result.rule.peak_text(one.peak_signal) for one in alarms[:_MAX_LISTED]],
+                "silences": result.silences,
                 "first_s": alarms[0].start_s if alarms else "",
                 "peak": max((way * alarm.peak_signal for alarm in alarms), default=""),
                 "score": score,
@@ -261,6 +262,10 @@ def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
         "expansion": _numbers(result.expansion, 4),
         "ttc_s": _numbers(result.ttc_s, 4),
         "signal": _numbers(result.signal, 4),
+        "held_by": result.signal_limit.tolist(),
+        "held": [_span(result, first, last) for first, last, _ in result.held],
+        "blind_by": result.blind.tolist(),
+        "blind": [_span(result, first, last) for first, last, _ in result.blind_spans],
         "limits": [round(limit, 4) for limit in signal_limits(result)],
         "rule": result.rule.to_dict(),
         "silent": np.flatnonzero(silent & ~result.is_repeat).tolist(),
@@ -277,6 +282,12 @@ def _result_data(part: PageResult, foot_db: float) -> dict[str, Json]:
         "fps": part.film.fps if part.film else None,
         "size": part.film.size_wh if part.film else None,
     }
+
+
+def _span(result: Result, first: int, last: int) -> list[float]:
+    """The times from a row to the end of another, in s."""
+    times = result.time_s[[first, min(last + 1, len(result) - 1)]]
+    return [round(float(when_s), 6) for when_s in times]
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
@@ -364,6 +375,10 @@ def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Json]:
         "alarms": [
             (x(begin), max(2.0, x(begin + length) - x(begin)))
             for begin, length in stretches(time_s, result.alarmed)
+        ],
+        "blind": [
+            (x(begin), max(1.0, x(end) - x(begin)))
+            for begin, end in (_span(result, *rows) for *rows, _ in result.blind_spans)
         ],
         "collisions": [x(float(when_s)) for when_s in times_hit],
     }

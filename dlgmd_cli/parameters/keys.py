@@ -94,8 +94,8 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", KAPPA, 1e-12, 1e9),
     "alarm": ("spikes", "–", "–", f"rule that raises alarms: {', '.join(RULES)}"),
-    "ttc_alarm": (1.25, "–", "s", "time to contact at which the rule ttc alarms", 0.01, 100),
-    "expansion_alarm": (0.47, "–", "1/s", "rate at which the rule expansion alarms", 0.01, 10),
+    "ttc_alarm": (1.25, "–", "s", "threshold of the rule ttc, a time to contact", 0.01, 100),
+    "expansion_alarm": (0.47, "–", "1/s", "threshold of the rule expansion", 0.01, 10),
 }
 
 

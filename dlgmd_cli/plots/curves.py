@@ -210,7 +210,7 @@ def _draw_spikes(axes: Axes, trace: Trace, level: Series) -> style.Entries:
 
 
 def _draw_bands(axes: Axes, trace: Trace) -> style.Entries:
-    """Draw a band at every alarm, and a hatched one wherever no alarm is no all-clear."""
+    """Draw a band at every alarm, and a hatched one wherever the result is blind."""
     result, entries, up = trace.result, style.Entries(), axes.get_xaxis_transform()
     if result.alarms.any():
         bars = stretches(result.time_s, result.alarmed)
@@ -221,7 +221,7 @@ def _draw_bands(axes: Axes, trace: Trace) -> style.Entries:
         bars = stretches(result.time_s, result.blind == reason)
         bands = axes.broken_barh(bars, (0, 1), transform=up, zorder=0)
         bands.set(facecolor="none", edgecolor=style.LIGHT_GREY, linewidth=0.0, hatch=_BLIND_HATCH)
-        entries.append((bands, f"no all-clear: {reason}"))
+        entries.append((bands, f"blind: {reason}"))
     return entries
 
 

@@ -300,7 +300,7 @@ class Result(Outcome):
 
     @property
     def blind_spans(self) -> list[tuple[int, int, str]]:
-        """First and last row of each stretch in which no alarm is no all-clear, and the reason."""
+        """First and last row of each stretch in which `blind` has a reason, and the reason."""
         return [
             (first, after - 1, reason)
             for reason in dict.fromkeys(self.blind[self.blind != ""].tolist())
@@ -309,7 +309,7 @@ class Result(Outcome):
 
     @property
     def blind_share(self) -> float:
-        """Share of the time in which no alarm is no all-clear."""
+        """Share of the time in which `blind` has a reason."""
         steps_s = np.diff(self.time_s)
         blind_s = float(steps_s[self.blind[:-1] != ""].sum())
         return blind_s / float(steps_s.sum()) if blind_s else 0.0
@@ -519,8 +519,7 @@ class Result(Outcome):
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list, self.rule)),
-            *self._held_back(),
-            *self._no_all_clear(),
+            *self.silences.items(),
             ("frames", frames),
             *self._camera(),
             ("peak MP", peak),
@@ -529,6 +528,11 @@ class Result(Outcome):
         ]
         yield ("", ""), rows
         yield from self.paths
+
+    @property
+    def silences(self) -> dict[str, str]:
+        """Where an alarm may be missing: `no alarm`, what held it back; `blind`, and why."""
+        return dict((*self._held_back(), *self._blindness()))
 
     def _held_back(self) -> Iterator[tuple[str, str]]:
         """The row of the longest stretch in `held`, if any."""
@@ -540,13 +544,13 @@ class Result(Outcome):
             more = f" (and {len(held) - 1} more)" if len(held) > 1 else ""
             yield "no alarm", f"{when}, {self.rule.peak_text(raw)}, held back by {limit}{more}"
 
-    def _no_all_clear(self) -> Iterator[tuple[str, str]]:
-        """The row of the time without an all-clear, with its longest stretch, if any."""
+    def _blindness(self) -> Iterator[tuple[str, str]]:
+        """The row of the blind time, with its longest stretch, if any."""
         if spans := self.blind_spans:
             first, last, _ = max(spans, key=lambda one: self.time_s[one[1]] - self.time_s[one[0]])
             reasons = ", ".join(dict.fromkeys(reason for *_, reason in spans))
             when = f"longest from {self.time_s[first]:.3f} to {self.time_s[last]:.3f} s"
-            yield "no all-clear", f"{reasons}: {100 * self.blind_share:.1f} % of the time, {when}"
+            yield "blind", f"{reasons}: {100 * self.blind_share:.1f} % of the time, {when}"
 
     def _camera(self) -> Iterator[tuple[str, str]]:
         """The row of the camera's angles, which says what is assumed; none without a camera."""

@@ -7,7 +7,7 @@ seconds earlier and the approach begins at a, has one outcome:
 - with a speed, *too late*: an onset after t - s, up to t;
 - with a speed, *too early*: an onset before t1, of an alarm that lasts until t1 - 1 s or longer;
 - without a speed, *announced*: an onset from t1 = max(a, t - 2 s) - 1 s to t;
-- *missed*: no such onset. Such a contact is *told* if there was no all-clear in the last 1.5 s.
+- *missed*: no such onset. Such a contact is *told* if the model was blind in the last 1.5 s.
 
 Of several outcomes, the first in this list counts. An onset from t1 to t + 1 s is never false. Any
 other onset, also one that is too early, is a *false* alarm, and each further 2 s of the alarm are
@@ -39,7 +39,7 @@ APPROACH_S, BEFORE_S = 2.0, 1.0
 AFTER_S, STANDS_S = 1.0, 2.0
 # N_NEAR frames with a high true rate within NEAR_S (s) of an onset justify the alarm.
 NEAR_S, N_NEAR = 1.0, 2
-# A contact is told if there was no all-clear in the last TOLD_S (s) before it.
+# A contact is told if the model was blind in the last TOLD_S (s) before it.
 TOLD_S = 1.5
 # The outcomes of a contact. An onset has one of these outcomes, or one of the three others.
 OUTCOMES = ("missed", "too_early", "too_late", "announced", "in_time")
@@ -102,7 +102,7 @@ class Signal:
     ttc_s : ndarray, shape (n,), optional
         Estimated time to contact, in seconds; NaN where undefined.
     blind : ndarray, shape (n,), bool, optional
-        Where no alarm is no all-clear, see `Detection.blind`.
+        Where the model is blind, see `Detection.blind`.
     """
 
     time_s: Series
@@ -116,7 +116,7 @@ class Signal:
     blind: Flags | None = None
 
     def is_told(self, contact: Contact) -> bool:
-        """Whether there was no all-clear in the last 1.5 s before a contact."""
+        """Whether the model was blind in the last 1.5 s before a contact."""
         if self.blind is None:
             return False
         left_s = contact.time_s - self.time_s
@@ -228,7 +228,7 @@ class Tally:
     in_time : bool ndarray, shape (contacts, brakes, T)
         Whether the contact is in time for each of `BRAKES`; False without a speed.
     told : ndarray, shape (contacts,), bool
-        Whether there was no all-clear just before a contact, see `Signal.is_told`.
+        Whether the model was blind just before a contact, see `Signal.is_told`.
     n_false, n_justified : int ndarray, shape (T,)
         Number of false alarms, and of alarms that only the truth justifies.
     alarm_s : ndarray, shape (T,)

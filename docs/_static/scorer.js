@@ -5,11 +5,12 @@ var Scorer = { objNameMatch: 6, objPartialMatch: 0, objPrio: {}, objPrioDefault:
 
 /* What readers write -> words of the pages. */
 const SYNONYMS = {
-  accuracy: "good measurements", accurate: "good measurements", bibtex: "cite", bug: "report",
+  accuracy: "good measurements", accurate: "good measurements", bibtex: "cite", blind: "health",
+  bug: "report",
   citation: "cite", commercial: "licence", copyright: "licence", crash: "collision", csv: "columns",
   docker: "install", error: "troubleshooting", flir: "thermal", fov: "lens", framerate: "fps",
-  infrared: "thermal", jetson: "raspberry", license: "licence", mac: "macos", mit: "licence",
-  my: "custom", osd: "display", own: "custom", pip: "install", precision: "measurements",
+  infrared: "thermal", jetson: "raspberry", license: "licence", mac: "macos", memory: "ram",
+  mit: "licence", osd: "display", own: "custom", pip: "install", precision: "measurements",
   propeller: "mask", r: "matlab", recall: "announced", reference: "cite", rpi: "raspberry",
   setup: "install", speed: "fast", tif: "tiff", tutorial: "start", vulnerability: "security",
   webcam: "camera",

@@ -93,8 +93,8 @@ def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
         and 1.0 < float(ttc_s) < 2.5
         and Path("overview.pdf").read_bytes().startswith(b"%PDF")
     )
-    (told,) = re.findall(r"(\d+) frames\s+after\s+the alarm begins", text_of("README.md"))
-    assert int(told) == 140 - int(frame)
+    (told_s,) = re.findall(r"([\d.]+) s after\s+the\s+alarm begins", text_of("README.md"))
+    assert float(told_s) == pytest.approx((140 - int(frame)) / 30, abs=0.01)
 
 
 def test_a_loop_of_ones_own_brakes(reader, capsys):

@@ -114,9 +114,9 @@ def test_what_was_measured_is_thin_behind_the_signal_and_what_holds_it_back_is_s
     assert corners.y0 == pytest.approx(result.rule.threshold)
     assert corners.y1 == pytest.approx(result.expansion[37])
     result.rows["blind"][10:20] = "unmeasured"
-    band = named(result.plot("mp"))["no all-clear: unmeasured"]
+    band = named(result.plot("mp"))["blind: unmeasured"]
     assert band.get_hatch() not in (None, area.get_hatch())
-    assert "no all-clear" not in " ".join(legend(figure))
+    assert "blind" not in " ".join(legend(figure))
     narrow = dlgmd_cli.plot(result, "ttc", ylim=(0.0, 0.6))  # both go beyond
     assert "> 0.6" in written(narrow)
     # Of two results of the same video, both lines are drawn once; of different ones, each's.

@@ -205,7 +205,7 @@ def test_a_lost_source_is_told(browser, watch):
     assert "Blind" in text and "secret" not in text
 
 
-def test_blindness_is_no_all_clear(browser, watch, tmp_path):
+def test_blindness_is_explained(browser, watch, tmp_path):
     """The image stays as it is: black is not grey."""
     covered = [np.full((90, 160, 3), 1, np.uint8)] * 300
     path = write_video(tmp_path / "covered.avi", covered, fps=30.0)
@@ -215,5 +215,5 @@ def test_blindness_is_no_all_clear(browser, watch, tmp_path):
     page = reader.page
     assert page.text_content("#state") == "Blind"
     message = page.text_content("#message")
-    assert message == "Blind: its frames are black. No alarm is no all-clear."
+    assert message == "Blind: its frames are black. A collision would raise no alarm."
     assert page.evaluate("getComputedStyle(picture).opacity") == "1"

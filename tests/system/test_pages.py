@@ -345,7 +345,7 @@ def test_labels_are_moved_removed_and_restored(browser, index_file, runs, tmp_pa
 
     known = [[70, "wall"]]
     assert shown() == [[], known] and page.is_disabled("#undo")
-    assert page.text_content("#open-known") == "1 known" and page.is_hidden("#known")
+    assert page.text_content("#open-known") == "Known collisions (1)" and page.is_hidden("#known")
     page.click("#open-known")
     assert page.text_content("#known-list span") == "wall"
     page.keyboard.press("Home")

@@ -165,6 +165,41 @@ def test_the_first_page_has_the_version():
         assert f"this is version {__version__[:3]}." in text_of(page).replace("\n", " ")
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md"])
+def test_the_sentence_below_the_sample_agrees_with_what_is_printed(page):
+    """The clip has 30 frames/s, and its contact is at frame 140 (`sample_videos/README.md`)."""
+    text = " ".join(text_of(page).split())
+    began_s = float(re.search(r"([\d.]+) to [\d.]+ s, frames", text)[1])
+    told = re.search(r"board at (\S+) s \(frame (\d+)\), (\S+) s after the alarm begins", text)
+    assert told.groups() == (f"{140 / 30:.2f}", "140", f"{140 / 30 - began_s:.2f}")
+
+
+def test_scores_in_sentences_are_those_of_the_tables():
+    """Wherever the README, Questions and Limits repeat them."""
+    rows = {cells[0]: cells[4:] for cells in table_below("docs/approaches.md", "Alarms")}
+    of_models = [rows[name] for name in ("`flight`", "`set6`", "LK divergence, best threshold")]
+    announced, false, rates = zip(*of_models, strict=True)
+    readme = {row[0]: row[1:] for row in table_below("README.md", "How good is it?")}
+    assert tuple(readme["real approaches announced, of 23"]) == announced
+    assert tuple(readme["false alarms a minute, there"]) == rates
+    held_out = table_below("docs/lab/held-out.md", "Flights held out")
+    stops, by_threshold = (row for row in held_out if row[:2] == ["`flight`", "0.47"])
+    own = [cells[0] for cells in readme.values()][-4:]
+    assert own == [*(text.split()[0] for text in reversed(stops[2:])), by_threshold[-1]]
+    here = {page: " ".join(text_of(page).split()) for page in (*PAGES,)}
+    (n, *_), (rate, _, low_to_high) = announced[0].split(), rates[0].partition(" ")
+    assert f"In {n} of 23 [recorded approaches" in here["README.md"]
+    assert f"raises {float(rate):.1f} false alarms a minute" in here["README.md"]
+    numbers = [int(text.split()[0]) for text in (*announced, *false)]
+    questions = here["docs/questions.md"]
+    assert f"the default alarm announces {n}, with {false[0]} false alarms" in questions
+    assert f"divergence announces {numbers[2]}, with {numbers[5]} false" in questions
+    assert f"Set 6 alone announces {numbers[1]}, with {numbers[4]} false" in questions
+    bounds = low_to_high.strip("()").replace("–", " to ")
+    limits = f"raises {false[0]} false alarms, or {rate} a minute (95 % interval: {bounds})"
+    assert limits in here["docs/limits.md"]
+
+
 def test_the_citation_is_that_of_the_readme():
     citation = yaml.safe_load(text_of("CITATION.cff"))
     paper = citation["preferred-citation"]

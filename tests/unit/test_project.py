@@ -2,8 +2,11 @@
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
+import sys
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -84,6 +87,22 @@ def test_forms_have_what_a_forge_requires(path):
     fields = [field for field in form["body"] if field["type"] != "markdown"]
     assert all(field["attributes"]["label"] for field in fields)
     assert len({field["id"] for field in fields}) == len(fields)
+
+
+def test_the_readme_on_an_index_leads_to_the_repository(monkeypatch):
+    base = "hatchling.metadata.plugin.interface"
+    monkeypatch.setitem(sys.modules, base, SimpleNamespace(MetadataHookInterface=object))
+    hook = runpy.run_path(str(ROOT / "hatch_build.py"))["Readme"]()
+    hook.root = ROOT
+    for urls, here in (({}, ""), ({"Source": "https://a.example/b"}, "https://a.example/b/")):
+        metadata = {"urls": urls}
+        hook.update(metadata)
+        text = metadata["readme"]["text"]
+        raw, page = (f"{here}{name}/HEAD/" if here else "" for name in ("raw", "blob"))
+        assert f"![Membrane potential of set 9 with its spikes and the alarm]({raw}docs/" in text
+        assert f'srcset="{raw}docs/_static/' in text and f'<img src="{raw}docs/' in text
+        assert f"[Questions]({page}docs/questions.md)" in text
+        assert not here or not re.search(r'\]\((docs|sample)|(src|srcset)="docs', text)
 
 
 def test_no_other_file_names_an_index():

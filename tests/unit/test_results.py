@@ -149,7 +149,7 @@ def test_a_result_says_which_angles_of_the_camera_are_assumed():
         assert dict(next(result.shown())[1])["camera"] == text
 
 
-def test_the_time_without_an_all_clear_is_told():
+def test_the_blind_time_is_shown():
     result = make_result([0.0] * 51)
     assert result.blind_share == 0.0 and not result.blind_spans
     result.rows["blind"][10:20], result.rows["blind"][30:45] = "unmeasured", "black"
@@ -157,7 +157,7 @@ def test_the_time_without_an_all_clear_is_told():
     assert result.summary["blind_share"] == pytest.approx(0.5)
     (_, rows), *_ = result.shown()
     text = "unmeasured, black: 50.0 % of the time, longest from 1.200 to 1.760 s"
-    assert dict(rows)["no all-clear"] == text
+    assert dict(rows)["blind"] == text
 
 
 def test_the_longest_stretch_that_is_held_back_is_told():

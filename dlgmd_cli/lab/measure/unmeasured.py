@@ -1,7 +1,7 @@
 """The table of `unmeasured`: what it tells, by the least quality and the time.
 
-Every other clip and flight is in the half on which the point was chosen. A contact is told if there
-was no all-clear in the last 1.5 s. Clear time is without an alarm, more than 3 s before a contact,
+Every other clip and flight is in the half on which the point was chosen. A contact is told if the
+model was blind in the last 1.5 s. Clear time is without an alarm, more than 3 s before a contact,
 and 1 s after it.
 """
 
@@ -21,8 +21,8 @@ from dlgmd_cli.results.labels import read_cases
 
 # Least quality and time (s) of each row.
 POINTS = (
-    *((least, 0.7) for least in (0.10, 0.15, 0.20, 0.25, 0.30, 0.35, 0.50)),
-    *((0.25, lasts_s) for lasts_s in (0.2, 0.3, 0.5, 1.0, 1.5)),
+    *((least, 0.7) for least in (0.10, 0.20, 0.25, 0.30, 0.50)),
+    *((0.25, lasts_s) for lasts_s in (0.3, 1.5)),
 )
 CLIPS = ("approach", "clips", "footage")
 # Flights into blank walls, and flights that are rendered lit, dark and noisy: seed and number.

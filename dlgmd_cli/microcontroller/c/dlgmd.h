@@ -120,7 +120,7 @@ typedef struct {
     bool alarm; /* a collision is imminent */
     uint8_t rule; /* what raises the alarm: DLGMD_SPIKES, DLGMD_TTC or DLGMD_AHEAD */
     bool has_ttc; /* something expands, so that ttc_s is known */
-    /* The rule needs an expansion that could not be measured lately: no alarm is no all-clear. */
+    /* The rule needs an expansion that could not be measured lately: a collision would raise no alarm. */
     bool unmeasured;
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
@@ -167,7 +167,7 @@ typedef enum {
     DLGMD_UNMEASURED
 } dlgmd_blind;
 
-/* Why no alarm is no all-clear, by what dlgmd_health_us says, and by the answer. */
+/* Why a collision would raise no alarm, by what dlgmd_health_us says, and by the answer. */
 static inline dlgmd_blind dlgmd_blind_of(dlgmd_blind health, const dlgmd_answer *answer)
 {
     return health == DLGMD_SOUND && answer->unmeasured ? DLGMD_UNMEASURED : health;
@@ -215,7 +215,7 @@ void dlgmd_health_reset(dlgmd_sight *sight);
 
 /* Whether the images show what the model needs: DLGMD_SOUND, or why they have not for 0.7 s. Pass
    every image of the camera, duplicates too, with its step as above. It is sound again after half
-   a second. No alarm is no all-clear while it is not; an alarm still is one. */
+   a second. While it is not, a collision may raise no alarm; an alarm still is one. */
 dlgmd_blind dlgmd_health_us(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_us);
 
 #ifdef __cplusplus
