@@ -10,17 +10,27 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import Flags, Grey
-from dlgmd_cli.models.growth import MIN_POINTS, Points, similarity, tracked, visible
+from dlgmd_cli.models.growth import (
+    MIN_POINTS,
+    Points,
+    Similarity,
+    roughly_tracked,
+    similarity,
+    tracked,
+    visible,
+)
 
-# Least time (s) between compared images. Columns of points: the fewer ones tell at little cost
-# whether the camera is at rest, and whether anything moves.
-LEAST_AGE_S, FEW_ACROSS, N_ACROSS = 0.09, 12, 24
+# Least time (s) between compared images. Columns of points: the fewest tell at little cost that the
+# camera is far from being at rest, as in most flights; the fewer ones whether anything moves.
+LEAST_AGE_S, FEWEST_ACROSS, FEW_ACROSS, N_ACROSS = 0.09, 8, 12, 24
 # Points with less than this share of the mean texture are left out: on a blank wall or in the sky,
 # they seem to move without any object.
 LEAST_TEXTURE = 0.3
 # The camera is at rest if the residuals of the background have at most this scale, in px, and its
 # growth is at most this share. Objects have residuals of more than `OUTSIDE` times the scale.
 STILL_PX, STILL_GROWTH, OUTSIDE = 0.5, 0.01, 2.0
+# It is far from that at this multiple of either: a few points may be badly tracked.
+FAR = 2.0
 # Fewest points of an object, and its least share of all points that leave the background.
 LEAST_POINTS, LEAST_SHARE = 4, 0.6
 # Patches at the edge of an object show the background, too: an object grows faster than its points,
@@ -58,6 +68,8 @@ def approaching(
     An object that approaches grows about a point inside: |ρ̄| < (g - e) √(Σ|z|² / n). An object
     that passes by moves as a whole.
     """
+    if _flies(before, now, shown):
+        return NOTHING
     for n_across in (FEW_ACROSS, N_ACROSS):
         points, cells = _spread(now.shape, n_across, shown)
         there, found, texture = tracked(before, now, points)
@@ -67,8 +79,7 @@ def approaching(
             return NOTHING
         background = similarity(points[found], there[found])
         apart = np.abs(background.left) > OUTSIDE * background.scale
-        is_still = background.scale <= STILL_PX and abs(background.slope.real) <= STILL_GROWTH
-        if not is_still or not apart.any():
+        if _moves(background, 1.0) or not apart.any():
             return NOTHING
     group = _largest(cells[found], apart)
     n = np.count_nonzero(group)
@@ -85,6 +96,23 @@ def approaching(
         return NOTHING
     x, y = there[found][group].mean(axis=0)
     return EDGE * rate, (_across(x, now.shape[1]), _across(y, now.shape[0]))
+
+
+def _flies(before: Grey, now: Grey, shown: Flags | None) -> bool:
+    """Whether the camera is far from being at rest, by the fewest points."""
+    points, _ = _spread(now.shape, FEWEST_ACROSS, shown)
+    if len(points) < 2 * MIN_POINTS:
+        return False
+    there, found = roughly_tracked(before, now, points)
+    if np.count_nonzero(found) < 2 * MIN_POINTS:
+        return False
+    return _moves(similarity(points[found], there[found]), FAR)
+
+
+def _moves(background: Similarity, most: float) -> bool:
+    """Whether the background moves by more than this multiple of what a camera at rest may."""
+    is_rough = background.scale > most * STILL_PX
+    return is_rough or abs(background.slope.real) > most * STILL_GROWTH
 
 
 def _spread(shape: tuple[int, ...], n_across: int, shown: Flags | None) -> tuple[Points, Points]:
