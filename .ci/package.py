@@ -67,7 +67,7 @@ def check_commands(dlgmd: Path, folder: Path) -> None:
 
     done = call(f"run {VIDEO} --out done")
     assert done.returncode == 0 and (folder / "done/looming-cube/mp.png").stat().st_size, done
-    assert call("synth receding --size 64x36 --frames 5").returncode == 0
+    assert call("synth receding-cube --size 64x36 --frames 5").returncode == 0
     for line, words in WITHOUT_EXTRAS.items():
         done = call(line)
         one_line = done.stderr.startswith("Error: ") and done.stderr.count("\n") == 1

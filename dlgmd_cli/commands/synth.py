@@ -23,9 +23,9 @@ _SCENE_OPTIONS: dict[str, tuple[click.ParamType | type, str | None, str]] = {
         "degrees/frame for rotating. translating and translating-cubes: one object for each "
         "--speed.  [default: 3 m/s; 4 px/frame; 1, 2, 3 and 4 px/frame for cubes; "
         "3 degrees/frame]"),
-    "l-over-v": (float, "S", "Half the object's size over its speed, in s, instead of --speed."),
+    "l-over-v": (float, "MS", "Half the object's size over its speed, in ms, instead of --speed."),
     "distance": (float, "D", "Distance in m at the first frame, for receding at the last.  "
-        "[default: 7.5]"),
+        "[default: 7.5; 0.1 for receding-cube]"),
     "final-angle": (float, "DEG", "Angular size at which the motion ends.  [default: contact]"),
     "object-size": (float, "S", "Side or diameter of the object in m; in px where nothing "
         "approaches: the width of a bar or stripe, the side of a square, the thickness of what "
@@ -79,14 +79,15 @@ def synth(scene: str, out: Path, **given: Any) -> None:
 
     \b
     Examples:
-      dlgmd synth looming --l-over-v 0.05 --final-angle 60 --hold 0.5  # stops at 60 degrees
+      dlgmd synth looming --l-over-v 50 --final-angle 60 --hold 0.5  # stops at 60 degrees
       dlgmd synth ball --light --noise 0.01      # a light ball, with a little noise
       dlgmd synth translating --speed -2         # a bar that crosses to the left
       dlgmd synth benchmark --out lgmd           # the basic videos of the LGMD benchmark
 
-    SCENE is looming or receding (a square), ball or capsule (which approach), translating (a bar),
-    translating-cubes, elongating, shortening, grating, rotating (a bar), or benchmark. 'dlgmd lab
-    fly' renders flights through rooms.
+    SCENE is looming or receding (a square), ball or capsule (which approach), looming-cube (the
+    same as looming), looming-ball (the same as ball), receding-cube (for as long as --frames says),
+    translating (a bar), translating-cubes, elongating, shortening, grating, rotating (a bar), or
+    benchmark. 'dlgmd lab fly' renders flights through rooms.
 
     Writes DIR/NAME.mp4 and DIR/NAME.csv, which has the ground truth of each frame. benchmark takes
     no option of the stimulus, and writes sixteen videos, 432x240, 50 frames, into the folders of

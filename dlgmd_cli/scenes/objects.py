@@ -25,72 +25,44 @@ _N_TEST_FRAMES = 20
 
 
 @dataclass(frozen=True)
-class Approach(Scene):
-    """An object that moves along the optical axis at constant speed, up to contact.
+class Axial(Scene):
+    """An object that moves along the optical axis at constant speed.
 
     The size is the side of a square, or the diameter of a ball or of an upright capsule, in m. The
     distance, in m, is from the camera to the nearest point of the object at frame 0. `l_over_v` is
-    half the size over the speed, in place of the speed. With `final_angle_deg`, the motion ends
-    where the object has this angular size.
+    half the size over the speed, in place of the speed.
     """
 
     object_size_m: float = option(0.5, "object_size", MIN_METRES, MAX_METRES, unit="m")
     speed_asked: float | None = option(None, "speed", MIN_METRES, MAX_METRES, unit="m/s")
-    l_over_v_s: float | None = option(None, "l_over_v", 0, 10, unit="s", low_open=True)
+    l_over_v_ms: float | None = option(None, "l_over_v", 0, 10_000, unit="ms", low_open=True)
     distance_m: float = option(7.5, "distance", MIN_METRES, MAX_METRES, unit="m")
-    final_angle_deg: float | None = option(
-        None, "final_angle", 0, 179, unit="degrees", low_open=True
-    )
     solid: Literal["square", "ball", "capsule"] = "square"
     # Length of a capsule over its diameter.
     LENGTH: ClassVar[float] = 3.0
     SPEED_M_S: ClassVar[float] = 3.0
 
+    def __post_init__(self) -> None:
+        if self.speed_asked is not None and self.l_over_v_ms is not None:
+            raise invalid("l_over_v", f"excludes {argument('speed')}", "Give one of them.")
+        super().__post_init__()
+
     @property
     def speed_m_s(self) -> float:
         """The speed in m/s."""
-        if self.l_over_v_s is not None:
-            return self.object_size_m / 2.0 / self.l_over_v_s
+        if self.l_over_v_ms is not None:
+            return self.object_size_m / 2.0 / (self.l_over_v_ms / 1000.0)
         return self.SPEED_M_S if self.speed_asked is None else self.speed_asked
 
-    @property
-    def end_m(self) -> float:
-        """The distance at which the motion ends; 0 for contact."""
-        if self.final_angle_deg is None:
-            return 0.0
-        half, size = math.radians(self.final_angle_deg) / 2.0, self.object_size_m
-        if self.solid == "square":
-            return max(0.0, size / 2.0 / math.tan(half))
-        return size / 2.0 / math.sin(half) - size / 2.0
-
-    def n_moving(self) -> int:
-        """Number of frames before contact, or up to the final angle."""
-        if self.speed_asked is not None and self.l_over_v_s is not None:
-            raise invalid("l_over_v", f"excludes {argument('speed')}", "Give one of them.")
-        steps = (self.distance_m - self.end_m) / self.speed_m_s * self.fps
-        if steps <= 0.0:
-            why = f"the object covers {self.final_angle_deg:g} degrees in the first frame already"
-            raise invalid("final_angle", why, f"Choose more, or a larger {argument('distance')}.")
-        # The frame of contact itself does not count; 1e-6 is a margin for rounding.
-        n_most = max(1, math.ceil(steps - 1e-6)) + (self.final_angle_deg is not None)
-        if self.n_asked is None and n_most > MAX_FRAMES:
-            why = f"contact comes only after {n_most} frames, and a clip has {MAX_FRAMES} at most"
-            raise invalid(
-                "speed", why, f"Raise it, or end the clip earlier with {argument('frames')}."
-            )
-        if self.n_asked is not None and self.n_asked > n_most + self.n_held:
-            what = "contact" if self.final_angle_deg is None else "the end"
-            hint = f"Choose 1 to {n_most + self.n_held}, or start at a larger "
-            why = f"{what} comes after {n_most + self.n_held} frames"
-            raise invalid("frames", why, f"{hint}{argument('distance')}.")
-        return n_most
+    @abstractmethod
+    def distance_at(self, place: int) -> float:
+        """The distance in m to the nearest point of the object in one frame of the motion."""
 
     def patches(self, place: int) -> Iterator[Patch]:
         """The object, about the middle of the image."""
         height, width = self.shape
         middle_yx = height / 2.0, width / 2.0
-        _, outline_m = self._distances(place)
-        span_px = self.focal_px * self.object_size_m / outline_m
+        span_px = self.focal_px * self.object_size_m / self.outline_at(place)
         if self.solid == "square":
             yield rectangle(self.shape, middle_yx, (span_px, span_px))
         elif self.solid == "ball":
@@ -111,7 +83,7 @@ class Approach(Scene):
         and -2 R / (D sqrt(D² - R²)) for a ball.
         """
         size = self.object_size_m
-        distance, outline = self._distances(place)
+        distance, outline = self.distance_at(place), self.outline_at(place)
         ball = (distance + size / 2.0) * outline
         slope = -size / (distance**2 + size**2 / 4.0 if self.solid == "square" else ball)
         return Angles(
@@ -120,17 +92,77 @@ class Approach(Scene):
             distance / self.speed_m_s,
         )
 
-    def _distances(self, place: int) -> tuple[float, float]:
-        """Distances in m: d, to the nearest point, and o, to the outline.
+    def outline_at(self, place: int) -> float:
+        """The distance in m to the outline: an object of size s spans f s / o in the image.
 
-        An object of size s spans f s / o in the image. For a square seen face on, o = d. For a
-        ball, o is the length of the tangent, sqrt(D² - R²), computed without cancellation.
+        For a square seen face on, it is the distance. For a ball, it is the length of the tangent,
+        sqrt(D² - R²), computed without cancellation.
         """
-        size = self.object_size_m
-        distance = max(self.distance_m - self.speed_m_s * place / self.fps, self.end_m)
+        distance = self.distance_at(place)
         if self.solid == "square":
-            return distance, distance
-        return distance, math.sqrt(distance * (distance + size))
+            return distance
+        return math.sqrt(distance * (distance + self.object_size_m))
+
+
+@dataclass(frozen=True)
+class Approach(Axial):
+    """An object that approaches up to contact, or until it has the final angular size."""
+
+    final_angle_deg: float | None = option(
+        None, "final_angle", 0, 179, unit="degrees", low_open=True
+    )
+
+    @property
+    def end_m(self) -> float:
+        """The distance at which the motion ends; 0 for contact."""
+        if self.final_angle_deg is None:
+            return 0.0
+        half, size = math.radians(self.final_angle_deg) / 2.0, self.object_size_m
+        if self.solid == "square":
+            return max(0.0, size / 2.0 / math.tan(half))
+        return size / 2.0 / math.sin(half) - size / 2.0
+
+    def n_moving(self) -> int:
+        """Number of frames before contact, or up to the final angle."""
+        steps = (self.distance_m - self.end_m) / self.speed_m_s * self.fps
+        if steps <= 0.0:
+            why = f"the object covers {self.final_angle_deg:g} degrees in the first frame already"
+            raise invalid("final_angle", why, f"Choose more, or a larger {argument('distance')}.")
+        # The frame of contact itself does not count; 1e-6 is a margin for rounding.
+        n_most = max(1, math.ceil(steps - 1e-6)) + (self.final_angle_deg is not None)
+        if self.n_asked is None and n_most > MAX_FRAMES:
+            why = f"contact comes only after {n_most} frames, and a clip has {MAX_FRAMES} at most"
+            raise invalid(
+                "speed", why, f"Raise it, or end the clip earlier with {argument('frames')}."
+            )
+        if self.n_asked is not None and self.n_asked > n_most + self.n_held:
+            what = "contact" if self.final_angle_deg is None else "the end"
+            hint = f"Choose 1 to {n_most + self.n_held}, or start at a larger "
+            why = f"{what} comes after {n_most + self.n_held} frames"
+            raise invalid("frames", why, f"{hint}{argument('distance')}.")
+        return n_most
+
+    def distance_at(self, place: int) -> float:
+        """The distance in m: less from frame to frame, down to that of the final angle."""
+        return max(self.distance_m - self.speed_m_s * place / self.fps, self.end_m)
+
+
+@dataclass(frozen=True)
+class Recession(Axial):
+    """An object that recedes for as many frames as asked for, 75 by default."""
+
+    def n_moving(self) -> int:
+        """Number of frames: 75 unless asked for."""
+        return self.n_moving_asked
+
+    def distance_at(self, place: int) -> float:
+        """The distance in m, more from frame to frame."""
+        return self.distance_m + self.speed_m_s * place / self.fps
+
+    def angles(self, place: int) -> Angles:
+        """What the object subtends; it becomes smaller, and there is no contact."""
+        size, velocity, _ = super().angles(place)
+        return Angles(size, -velocity)
 
 
 @dataclass(frozen=True)
@@ -291,11 +323,16 @@ class Rotation(Flat):
         yield bar(self.plane, (height / 2.0, width / 2.0), size_yx, turn)
 
 
+# The receding cube starts where the looming cube ends.
+_END_M = Axial.SPEED_M_S / Axial.fps
 _ALL: tuple[Scene, ...] = (
     Approach("looming", "a square that approaches the camera"),
     Approach("receding", "the same backwards", backwards=True),
     Approach("ball", "a ball that approaches the camera", solid="ball"),
     Approach("capsule", "an upright capsule that approaches the camera", solid="capsule"),
+    Approach("looming-cube", "the same as looming"),
+    Approach("looming-ball", "the same as ball", solid="ball"),
+    Recession("receding-cube", "a square that recedes from the camera", distance_m=_END_M),
     Translation("translating", "a bar that crosses the image", is_bar=True, speeds_px=(4.0,)),
     Translation("translating-cubes", "squares that cross the image, each at its own speed"),
     Deformation("elongating", "a rectangle that grows from one border to the other"),

@@ -52,9 +52,10 @@ def synth(
     Parameters
     ----------
     scene : str
-        ``"looming"``, ``"receding"``, ``"ball"``, ``"capsule"``, ``"translating"``,
-        ``"translating-cubes"``, ``"elongating"``, ``"shortening"``, ``"grating"``, ``"rotating"``,
-        or ``"benchmark"``: the sixteen basic videos of the LGMD benchmark.
+        ``"looming"``, ``"receding"``, ``"ball"``, ``"capsule"``, ``"looming-cube"``,
+        ``"looming-ball"``, ``"receding-cube"``, ``"translating"``, ``"translating-cubes"``,
+        ``"elongating"``, ``"shortening"``, ``"grating"``, ``"rotating"``, or ``"benchmark"``: the
+        sixteen basic videos of the LGMD benchmark.
     out : str or path, optional
         Folder for the files of `dlgmd synth`, with `lossless` and `overwrite`. Without it, the
         images are kept in memory.

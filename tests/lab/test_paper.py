@@ -158,7 +158,7 @@ def test_the_page_has_what_fails_first():
 
 
 def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
-    clip, models = Clip.of("looming", size="40x30"), {"a": model(3), "b": ("lgmd", 0.5)}
+    clip, models = Clip.of("looming-cube", size="40x30"), {"a": model(3), "b": ("lgmd", 0.5)}
     first = clips.run_clip(clip, models, tmp_path)
     monkeypatch.setattr(clips, "seen", None)
     again = clips.run_clip(clip, {"a": model(3)}, tmp_path)
@@ -243,7 +243,7 @@ def started(needs):
 
 
 def test_clips_are_rendered_for_all_exhibits_together():
-    clip = Clip.of("looming", size="40x30", speed=3.0)
+    clip = Clip.of("looming-cube", size="40x30", speed=3.0)
     order = []
     half = model(3), 0.5
     each = [
@@ -252,10 +252,10 @@ def test_clips_are_rendered_for_all_exhibits_together():
         started({clip: all_versions(3)}),
     ]
     data = compute(needed(each), 1, lambda n, name: order.append(name))
-    assert order == ["looming 3", "more", "timed", f"{TIMING}, x"]
+    assert order == ["looming-cube 3", "more", "timed", f"{TIMING}, x"]
     found = data[clip]
     assert each[0].evidence(data).values == {"seen": {"any": [3]}}
-    assert each[2].evidence(data).inputs == {None: {"looming 3": found.sha256}}
+    assert each[2].evidence(data).inputs == {None: {"looming-cube 3": found.sha256}}
     assert set(found.results) == {"lgmd", "half", *all_versions(3)}
     assert found.results["half"].n_cells == 20 * 15
     again = clips.run_clip(clip, {"x": model(3)})

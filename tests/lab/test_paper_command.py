@@ -82,7 +82,9 @@ def test_each_free_constant_that_an_exhibit_reads_is_tried(name, quick, monkeypa
 
 def test_the_authors_frames_decide(tmp_path, runs):
     (tmp_path / "frames/looming_ball").mkdir(parents=True)
-    for index, frame in enumerate(clips.seen(Clip.of("ball", size="40x30", frames=25)).frames):
+    for index, frame in enumerate(
+        clips.seen(Clip.of("looming-ball", size="40x30", frames=25)).frames
+    ):
         cv2.imwrite(str(tmp_path / f"frames/looming_ball/{index + 1:03d}.png"), frame)
     runs("lab", "paper", "--only", "fig10,fig5-excitation", "--reference", "frames", "--quick")
     rows = csv_rows(tmp_path / "dlgmd-paper/claims.csv")

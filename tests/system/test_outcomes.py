@@ -126,13 +126,13 @@ CAPABILITIES = {
         said="<Calibration of set3: ",
     ),
     "synth": capability(
-        "synth looming --size 64x48 --frames 12 --noise 0.01 --lossless",
+        "synth looming-cube --size 64x48 --frames 12 --noise 0.01 --lossless",
         lambda **how: dlgmd_cli.synth(
-            "looming", size="64x48", frames=12, noise=0.01, lossless=True, **how
+            "looming-cube", size="64x48", frames=12, noise=0.01, lossless=True, **how
         ),
         "",
-        "looming.avi looming.csv",
-        said="<RenderedClip looming: 12 frames in mine",
+        "looming-cube.avi looming-cube.csv",
+        said="<RenderedClip looming-cube: 12 frames in mine",
     ),
 }
 # What writes a folder of its own is locked as a whole; what only has names in it, by these.
@@ -432,8 +432,8 @@ def test_a_film_of_layers_that_were_not_run_to_the_end(one, runs):
 @pytest.mark.parametrize("name", ["synth"])
 def test_synth_in_memory_is_the_lossless_video(one, runs):
     runs(*one.command("its"))
-    clip = dlgmd_cli.synth("looming", size=(64, 48), frames=12, noise=0.01)
-    same_numbers(clip.truth, "its/looming.csv")
-    stored = dlgmd_cli.run("its/looming.avi", model=9, repeats="keep")
+    clip = dlgmd_cli.synth("looming-cube", size=(64, 48), frames=12, noise=0.01)
+    same_numbers(clip.truth, "its/looming-cube.csv")
+    stored = dlgmd_cli.run("its/looming-cube.avi", model=9, repeats="keep")
     assert clip.fps == 30 and clip.frames.shape == (len(stored), 48, 64)
     np.testing.assert_allclose(dlgmd_cli.run(clip.frames, fps=30, model=9).mp, stored.mp, rtol=1e-6)

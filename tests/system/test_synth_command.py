@@ -15,8 +15,8 @@ def test_all_options_arrive(runs):
         "--size 64x48 --fps 10 --frames 3 --object-size 2 --speed 1 --distance 4 --contrast 1 "
         "--background 0.25 --noise 0 --seed 7 --fov 90 --lossless --out new/here"
     )
-    result = runs("synth", "looming", *options.split())
-    video, truth = (Path("new", "here", f"looming.{end}") for end in ("avi", "csv"))
+    result = runs("synth", "looming-cube", *options.split())
+    video, truth = (Path("new", "here", f"looming-cube.{end}") for end in ("avi", "csv"))
     assert result.stdout.splitlines() == [str(video), str(truth)] and result.stderr == ""
     first = read_video(video)[1][0][..., 1]
     assert first[0, 0] == 64  # 0.25 * 255, rounded

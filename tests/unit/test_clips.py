@@ -25,7 +25,7 @@ def decoded(path):
     return [frame[:, :, 1] for frame in read_video(path)[1]]
 
 
-@pytest.mark.parametrize("name", ["looming", "translating-cubes"])
+@pytest.mark.parametrize("name", ["looming-cube", "translating-cubes"])
 def test_lossless_video_is_exact_and_the_other_close(tmp_path, name):
     options = {**SMALL, "noise": 0.02, "fps": 12.5}
     frames = dlgmd_cli.synth(name, **options).frames
@@ -39,7 +39,7 @@ def test_lossless_video_is_exact_and_the_other_close(tmp_path, name):
 
 
 def test_truth_reads_back(tmp_path):
-    clip = dlgmd_cli.synth("looming", tmp_path, **SMALL)
+    clip = dlgmd_cli.synth("looming-cube", tmp_path, **SMALL)
     text = clip.paths[1].read_bytes().decode("ascii")
     header = "frame,time_s,angular_size_deg,angular_velocity_deg_s,time_to_contact_s"
     assert text.startswith(f"{header}\n0,0,") and "\r" not in text
@@ -61,7 +61,7 @@ class Faulty(Approach):
 def test_an_error_leaves_what_was_there_and_nothing_half_made(
     tmp_path, monkeypatch, lossless, fault
 ):
-    cube = SCENES["looming"]
+    cube = SCENES["looming-cube"]
     dlgmd_cli.synth(cube.name, tmp_path / "old", lossless=lossless, **SMALL)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "old").iterdir()}
     monkeypatch.setattr(Faulty, "fault", fault, raising=False)
@@ -76,19 +76,19 @@ def test_an_error_leaves_what_was_there_and_nothing_half_made(
 
 
 def test_what_exists_is_replaced_only_when_told(tmp_path):
-    dlgmd_cli.synth("looming", tmp_path, **SMALL)
+    dlgmd_cli.synth("looming-cube", tmp_path, **SMALL)
     with pytest.raises(OutputExistsError, match="already exists"):
-        dlgmd_cli.synth("looming", tmp_path, **SMALL)
-    dlgmd_cli.synth("looming", tmp_path, overwrite=True, size="64x48", frames=3)
-    assert names(tmp_path) == ["looming.csv", "looming.mp4"]
-    assert len(decoded(tmp_path / "looming.mp4")) == 3
+        dlgmd_cli.synth("looming-cube", tmp_path, **SMALL)
+    dlgmd_cli.synth("looming-cube", tmp_path, overwrite=True, size="64x48", frames=3)
+    assert names(tmp_path) == ["looming-cube.csv", "looming-cube.mp4"]
+    assert len(decoded(tmp_path / "looming-cube.mp4")) == 3
 
 
 def test_the_truth_of_an_earlier_clip_never_stands_beside_the_images_of_a_later_one(
     tmp_path, monkeypatch
 ):
-    dlgmd_cli.synth("looming", tmp_path, size="32x16", frames=3)
-    arrived, replace, truth = [], Path.replace, tmp_path / "looming.csv"
+    dlgmd_cli.synth("looming-cube", tmp_path, size="32x16", frames=3)
+    arrived, replace, truth = [], Path.replace, tmp_path / "looming-cube.csv"
 
     def watched(self, target):
         if Path(target).parent == tmp_path:
@@ -97,8 +97,8 @@ def test_the_truth_of_an_earlier_clip_never_stands_beside_the_images_of_a_later_
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", watched)
-        dlgmd_cli.synth("looming", tmp_path, size="32x16", frames=4, overwrite=True)
-    assert arrived == [("looming.mp4", False), ("looming.csv", False)]
+        dlgmd_cli.synth("looming-cube", tmp_path, size="32x16", frames=4, overwrite=True)
+    assert arrived == [("looming-cube.mp4", False), ("looming-cube.csv", False)]
 
 
 # The same every time

@@ -73,7 +73,7 @@ def test_version(dlgmd, arguments):
 
 
 def test_general_options_before_and_after_the_command(dlgmd):
-    scene = ["synth", "looming", "--frames", 2, "--size", "64x48", "--noise", 0.1]
+    scene = ["synth", "looming-cube", "--frames", 2, "--size", "64x48", "--noise", 0.1]
     assert "Note: " in dlgmd(*scene, "-o", "a").stderr
     for number, arguments in enumerate(([*scene, "-q"], [*scene, "--quiet"], ["-q", *scene])):
         assert dlgmd(*arguments, "-o", f"b{number}").stderr == ""
@@ -90,7 +90,7 @@ def test_an_option_may_be_an_environment_variable(dlgmd, monkeypatch):
     assert result.exit_code == 2 and "'--fov': 500 is more than 170" in result.stderr
     monkeypatch.setenv("DLGMD_QUIET", "1")
     monkeypatch.delenv("DLGMD_RUN_FOV")
-    scene = ("synth", "looming", "--frames", 2, "--size", "64x48", "--noise", 0.1)
+    scene = ("synth", "looming-cube", "--frames", 2, "--size", "64x48", "--noise", 0.1)
     assert dlgmd(*scene).stderr == ""
 
 

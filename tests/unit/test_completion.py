@@ -34,7 +34,7 @@ def test_commands_and_options():
         ("run --param sigma_", ["sigma_e=", "sigma_i="]),
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
-        ("synth trans", ["translating", "translating-cubes"]),
+        ("synth loom", ["looming", "looming-cube", "looming-ball"]),
         ("sets l", [name for name in MODELS if name[0] == "l"]),
         ("sets show dlgmd-o", ["dlgmd-onoff"]),
         ("plot ov", ["overview"]),

@@ -50,7 +50,7 @@ def test_our_stimuli_have_peaks_that_grow_with_l_over_v():
     l_over_v_s, peaks_s = [0.02, 0.04, 0.06], []
     scene = {"object_size": 0.5, "contrast": -1, "background": 1, "size": "240x240", "fps": 100}
     for each in l_over_v_s:
-        clip = dlgmd_cli.synth("looming", speed=0.25 / each, distance=4.77, fov=60, **scene)
+        clip = dlgmd_cli.synth("looming-cube", speed=0.25 / each, distance=4.77, fov=60, **scene)
         result = dlgmd_cli.run(clip.frames, 9, fps=clip.fps, repeats="keep")
         peaks_s.append(peak_before_contact(result, clip.truth["time_to_contact_s"][0]))
     fit = looming_fit(l_over_v_s, peaks_s)

@@ -143,34 +143,51 @@ def test_values_that_only_python_can_give(name, value, why):
 # Objects that come closer or go away
 
 
-@pytest.mark.parametrize("name", ["looming", "receding", "ball"])
+@pytest.mark.parametrize("name", ["looming", "receding-cube", "ball"])
 def test_the_area_of_the_object_follows_from_the_distance(name):
     scene = SCENES[name]
     focal = scene.focal_px
     for frame, row in zip(scene.frames(), scene.truth(), strict=True):
         half = math.radians(row.angular_size_deg) / 2.0
         span = 2.0 * focal * math.tan(half)
-        distance = 0.1 + 3.0 * row.time_s if name == "receding" else 7.5 - 3.0 * row.time_s
+        distance = 0.1 + 3.0 * row.time_s if name == "receding-cube" else 7.5 - 3.0 * row.time_s
         if name == "ball":
             assert math.sin(half) == pytest.approx(0.25 / (distance + 0.25), rel=1e-9)
             area = math.pi * span**2 / 4 if span < 270.0 else None
         else:
             assert span == pytest.approx(focal * 0.5 / distance, rel=1e-9)
             area = min(span, 270.0) * min(span, 480.0)
-        if name != "receding":
+        if name != "receding-cube":
             assert row.time_to_contact_s == pytest.approx(distance / 3.0) and distance > 0.0
         if area is not None:
             assert darkness(frame, scene).sum() == pytest.approx(area, rel=1e-3)
 
 
 def test_receding_cube_is_the_looming_cube_backwards():
-    looming, receding = SCENES["looming"], SCENES["receding"]
+    looming, receding = SCENES["looming-cube"], SCENES["receding-cube"]
     there, back = looming.frames(), receding.frames()
     for a, b in zip(list(there)[::-1], back, strict=True):
         assert np.max(np.abs(a.astype(int) - b)) <= 1  # the last bit of the distances differs
     rows = list(receding.truth())
     assert all(math.isnan(row.time_to_contact_s) for row in rows)
     assert all(row.angular_velocity_deg_s < 0.0 for row in rows)
+
+
+def test_the_receding_cube_goes_on_from_its_first_distance():
+    scene = SCENES["receding-cube"].configured({"distance": 2, "speed": 6, "frames": 100})
+    *_, last = scene.truth()
+    assert last.frame == 99
+    distance = 2 + 6 * 99 / 30
+    assert math.tan(math.radians(last.angular_size_deg / 2)) == pytest.approx(0.25 / distance)
+    with pytest.raises(ParameterError, match="receding-cube has no such option"):
+        scene.configured({"final_angle": 40})
+
+
+@pytest.mark.parametrize(("name", "same"), [("looming-cube", "looming"), ("looming-ball", "ball")])
+def test_two_names_of_a_scene(name, same):
+    one, other = (SCENES[each].configured({**SMALL, "noise": 0.01}) for each in (name, same))
+    for a, b in zip(one.frames(), other.frames(), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +270,7 @@ def test_a_capsule_is_three_diameters_long():
 
 @pytest.mark.parametrize("name", ["looming", "ball", "capsule"])
 def test_an_approach_ends_at_its_final_angle_and_is_held(name):
-    rows = list(SCENES[name].configured({"final_angle": 40, "hold": 0.5, "l_over_v": 0.05}).truth())
+    rows = list(SCENES[name].configured({"final_angle": 40, "hold": 0.5, "l_over_v": 50}).truth())
     moving, held = rows[:-15], rows[-15:]
     assert {row.angular_size_deg for row in held} == {moving[-1].angular_size_deg}
     assert held[0].angular_size_deg == pytest.approx(40)
@@ -279,7 +296,7 @@ def test_light_exchanges_the_luminances_and_an_image_is_the_background(tmp_path)
     for options, why in (
         ({**given, "light": True}, "excludes background_image"),
         ({"background_image": str(tmp_path)}, "cannot be read as an image"),
-        ({"l_over_v": 0.1, "speed": 2}, "excludes speed"),
+        ({"l_over_v": 100, "speed": 2}, "excludes speed"),
         ({"final_angle": 1}, "covers 1 degrees in the first frame already"),
     ):
         with pytest.raises(ParameterError, match=why):

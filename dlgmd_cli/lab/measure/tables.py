@@ -75,10 +75,10 @@ def _errors(labels: Path) -> str:
 def ttc_synthetic() -> str:
     """Errors of the time to contact of a cube and a ball."""
     with tempfile.TemporaryDirectory() as folder:
-        for scene in ("looming", "ball"):
+        for scene in ("looming-cube", "looming-ball"):
             dlgmd_cli.synth(scene, folder)
         labels = Path(folder, "labels.csv")
-        text = "video,collision_frame\nlooming.mp4,74\nball.mp4,74\n"
+        text = "video,collision_frame\nlooming-cube.mp4,74\nlooming-ball.mp4,74\n"
         labels.write_text(text, encoding="utf-8")
         return _errors(labels)
 

@@ -46,7 +46,7 @@ EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 # The flights of the paper's Table III; other scenes are plain stimuli.
 GROUPS = ("group1", "group2", "group3", "group4", "group5")
 # The code that makes responses: if it changes, none that is kept is good.
-_CODE = ("frame.py", "reduction.py", "scenes.py", "models", "parameters", "lab/fly")
+_CODE = ("frame.py", "reduction.py", "scenes", "models", "parameters", "lab/fly")
 # The kernel of the LGMD's inhibition.
 _LGMD_INHIBITION = np.array([[1, 2, 1], [2, 0, 2], [1, 2, 1]], np.float32) / 8.0
 

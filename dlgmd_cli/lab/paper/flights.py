@@ -270,7 +270,7 @@ def _sum_before(result: Result, end: int) -> float:
 
 # A cube that looms at three contrasts.
 _CUBES = tuple(
-    Clip.of("looming", size=stimuli.SIZE, contrast=-contrast, background=1.0)
+    Clip.of("looming-cube", size=stimuli.SIZE, contrast=-contrast, background=1.0)
     for contrast in (1.0, 0.5, 0.25)
 )
 

@@ -238,8 +238,8 @@ def _pooled(
 
 
 _APPROACHES = {
-    "cube": Clip.of("looming", size=SIZE),
-    "receding": Clip.of("receding", size=SIZE),
+    "cube": Clip.of("looming-cube", size=SIZE),
+    "receding": Clip.of("receding-cube", size=SIZE),
 }
 LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
@@ -349,7 +349,7 @@ _SECOND = 30
 
 def looming_ball(plan: Plan) -> Clip:
     """The looming ball of Figs. 10 and 12: the authors', or the tool's own."""
-    return reference_clip(plan.reference, "ball", size=SIZE)
+    return reference_clip(plan.reference, "looming-ball", size=SIZE)
 
 
 def fig10(plan: Plan) -> Steps:
