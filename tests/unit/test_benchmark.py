@@ -163,7 +163,7 @@ def test_every_frame_gets_a_response_at_full_size(footage, caplog):
         if r["model"] == "set9" and r["frames"] == "16"
     )
     truth = [0.5] * 8 + [1] * 8
-    assert float(row["sa"]) == pytest.approx(slow_score(own, truth), abs=1e-8)
+    assert float(row["separability"]) == pytest.approx(slow_score(own, truth), abs=1e-8)
     stored = json.loads((footage.parent / "ev/responses.json").read_text())
     assert stored["set9"]["results"]["moving/a.avi"] == own.tolist()
     (axes,) = found.plot().axes
@@ -179,11 +179,11 @@ def test_table_files_and_json(dlgmd, footage):
     assert result.exit_code == 1 and "weighted mean" in result.stdout
     assert "Response of set9: 0.5 + mp_abs / 2." in result.stdout
     ranks = {r["model"]: r for r in csv_rows("ev/benchmark.csv") if r["class"] == "weighted mean"}
-    best = max(ranks.values(), key=lambda row: float(row["sa"]))
+    best = max(ranks.values(), key=lambda row: float(row["separability"]))
     assert best["rank"] == "1" and {r["rank"] for r in ranks.values()} == {"1", "2"}
     facts = json.loads(dlgmd("--json", "evaluate", footage, *options, "--overwrite").stdout)
-    scores = facts["models"]["set9"]["sa"]
-    assert scores["weighted mean"] == pytest.approx(float(ranks["set9"]["sa"]), abs=1e-8)
+    scores = facts["models"]["set9"]["separability"]
+    assert scores["weighted mean"] == pytest.approx(float(ranks["set9"]["separability"]), abs=1e-8)
     assert facts["failed"].keys() == {"still/c.avi", "still/gone.avi"}
 
 

@@ -32,8 +32,8 @@ from dlgmd_cli.tasks.stepping import responses, session_on
 _log = logging.getLogger(__name__)
 
 RESPONSES = "responses.json"
-COLUMNS = ("model", "class", "videos", "sa", "rank")
-OF_SEQUENCES = ("model", "class", "video", "frames", "sa")
+COLUMNS = ("model", "class", "videos", "separability", "rank")
+OF_SEQUENCES = ("model", "class", "video", "frames", "separability")
 # Every frame is read, and a model gets it in its full size.
 _WHOLE: dict[str, Any] = {"scale": 1.0, "fps": "all", "repeats": "keep"}
 _TAKEN = ("input_fps", "decoder")
@@ -275,6 +275,6 @@ class Benchmark(Outcome):
         models: dict[str, Json] = {}
         for label, own in self.means().items():
             scores: dict[str, Json] = {title: finite(score) for title, (_, score) in own.items()}
-            models[label] = {"sa": scores, **roc.areas_json(self.separations[label])}
+            models[label] = {"separability": scores, **roc.areas_json(self.separations[label])}
         counts: dict[str, Json] = {"videos": len(self.sequences), "failed": {**self.failed}}
         return {"result": folder, **counts, "models": models}
