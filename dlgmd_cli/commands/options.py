@@ -395,16 +395,20 @@ def named_models(
     """The models that --set, --config and --model name, in this order, each once.
 
     A custom --model is joined with the file that names the model: a file alone may not import it.
+    A --model that is one of the sets, as dlgmd is set 9, is named already.
     """
+    sets = [named_model(name, None, None) for name in dict.fromkeys(set_names)]
     files = {path: named_model(None, path, None) for path in dict.fromkeys(configs)}
     named = {path: file.model if file else None for path, file in files.items()}
     by_config = {
         path: name if name in models and ":" in name else None for path, name in named.items()
     }
+    alone = dict.fromkeys(name for name in models if name not in by_config.values())
+    by_model = (named_model(None, None, name) for name in alone)
     return [
-        *(named_model(name, None, None) for name in dict.fromkeys(set_names)),
+        *sets,
         *(named_model(None, path, name) for path, name in by_config.items()),
-        *(named_model(None, None, n) for n in dict.fromkeys(models) if n not in by_config.values()),
+        *(model for model in by_model if model not in sets),
     ]
 
 
