@@ -276,6 +276,11 @@ class Spikes(Rule, name="spikes"):
         """The label of the threshold's line in figures, which is also that of spikes."""
         return f"threshold {self.threshold:g}"
 
+    def peak_text(self, signal: float) -> str:
+        """The highest level of an alarm in words; an MP of a fixed scale is not normalised."""
+        is_normalised = self.by_sequence or self.params.rest is None
+        return f"{self.quantity if is_normalised else 'MP'} up to {signal:.2f}"
+
     def strength_at(self, signal: float) -> float:
         """The mean excitation at a level."""
         return signal if self._compares_level else excitation_at(signal, self.params.kappa)
