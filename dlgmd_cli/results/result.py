@@ -318,12 +318,11 @@ class Result(Outcome):
     def summary(self) -> Summary:
         """The main numbers of the result; None where undefined.
 
-        `rule` (the alarm rule, see `Rule`), `mp_max`, `mp_max_frame`,
-        `mp_max_time_s` (the peak of the raw membrane potential), `spikes` (number of spiking frames
-        without duplicates), `first_spike_time_s`, `alarms` (number of alarms; those less than 0.3 s
-        apart are one), `first_alarm_frame`, `first_alarm_time_s`, `first_alarm_side` (such as
-        ``left high``, see `side_of`), `first_alarm_ttc_s` (the estimated time to contact),
-        `blind_share` and the `attenuations`.
+        `rule` (the alarm rule, see `Rule`), `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of
+        the raw membrane potential), `spikes` (number of spiking frames without duplicates),
+        `first_spike_time_s`, `alarms` (those less than 0.3 s apart are one), `first_alarm_frame`,
+        `first_alarm_time_s`, `first_alarm_side` (such as ``left high``, see `side_of`),
+        `first_alarm_ttc_s` (estimated time to contact), `blind_share` and the `attenuations`.
         """
         peak, alarms = self._peak_row, self.alarm_list
         spiking = np.flatnonzero(self.new_spikes)
