@@ -136,6 +136,8 @@ def fastest(
     points = np.concatenate((way.points, _spread(now.shape)))
     usable = _usable(points, now.shape, shown)
     usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
+    if np.count_nonzero(usable) < 2 * MIN_POINTS:
+        return NOTHING
     there, reached, differs = tracked_near(before, turned, points[usable])
     kept = np.flatnonzero(usable)[reached]
     if len(kept) < 2 * MIN_POINTS:
@@ -202,7 +204,7 @@ class _Way:
         row, column = np.unravel_index(np.argmax(reached), reached.shape)
         if not reached[row, column] > 0.0:
             return NOTHING
-        x, y = self._middle + self._step * (np.array((column, row)) - self._n_out)
+        x, y = (self._middle + self._step * (np.array((column, row)) - self._n_out)).tolist()
         height, width = self._shape
         place = (2.0 * x + 1.0) / width - 1.0, (2.0 * y + 1.0) / height - 1.0
         return float(reached[row, column]), place

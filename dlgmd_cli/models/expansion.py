@@ -77,7 +77,7 @@ class Measured:
     )
     corridor: float = column(
         "1/s",
-        "1 / (time to contact) of [points in the drone's way](measurements.md#the-drones-way); "
+        "1 / (time to contact) of [points in the drone's way](measurements.md#the-way); "
         "empty unless its motion is known",
     )
 

@@ -360,16 +360,13 @@ class Corridor(Ahead, name="corridor"):
         """The rate in the way, else that of the rule `expansion`."""
         if not math.isnan(row.corridor):
             return row.corridor
-        return super().value(row) * self._share
+        return super().value(row) * self.params.corridor_alarm / self.params.expansion_alarm
 
     def limit(self, row: Detection, signal: float) -> str:
         """What holds the signal of the rule `expansion`, where it is the signal."""
-        return super().limit(row, signal / self._share) if math.isnan(row.corridor) else ""
-
-    @property
-    def _share(self) -> float:
-        """The rule's threshold as a share of that of the rule `expansion`."""
-        return self.params.corridor_alarm / self.params.expansion_alarm
+        if not math.isnan(row.corridor):
+            return ""
+        return super().limit(row, super().value(row))
 
     @staticmethod
     def as_time(value: float) -> float:

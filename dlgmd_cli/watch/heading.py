@@ -83,7 +83,7 @@ class Heading:
         """The reported motion, or the reason why it has no direction."""
         velocity, attitude = self._reports.motion, self._reports.attitude
         assert self._camera is not None  # `look` comes first
-        if velocity is None or attitude is None:
+        if velocity is None:
             return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
         speed_m_s = math.hypot(*velocity)
         if speed_m_s < (KEPT_M_S if self._why == "" else LEAST_M_S):
@@ -91,4 +91,5 @@ class Heading:
         direction = direction_of(velocity, self._camera.tilt_deg)
         if direction is None or self._camera.window(self._shape, direction) is None:
             return None, "the camera does not see where the drone flies"
-        return Motion(direction, speed_m_s, *attitude.at(time.monotonic())), ""
+        angles = () if attitude is None else attitude.at(time.monotonic())
+        return Motion(direction, speed_m_s, *angles), ""

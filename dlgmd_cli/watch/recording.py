@@ -220,7 +220,7 @@ class Recording:
             # In kept images, the frame number is the row number.
             at = frame if self._film is None else self.n_rows
             numbers = () if motion is None else (*motion.direction, *motion[1:])
-            cells = [f"{number:.6g}" for number in numbers] or [""] * 6
+            cells = [*map(repr, numbers)] or [""] * (len(HEADING_COLUMNS) + len(MOTION_COLUMNS) - 1)
             self._write_line(HEADINGS, [str(at), *cells])
 
     def _write_whole(self) -> None:
