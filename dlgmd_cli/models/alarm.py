@@ -8,6 +8,7 @@ import numpy as np
 from dlgmd_cli.errors import FrameError, warn
 from dlgmd_cli.frame import Flags, Frame, small_wh
 from dlgmd_cli.models.base import Grey, create_model
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.health import Health
@@ -145,14 +146,30 @@ class Alarm:
     def left_out(self, part: str) -> None:
         self._session.left_out = part
 
-    def heading(self, right_deg: float = math.nan, up_deg: float = math.nan) -> None:
-        """Set the direction of flight from now on, in degrees from the optical axis.
+    def heading(
+        self,
+        right_deg: float = math.nan,
+        up_deg: float = math.nan,
+        speed_m_s: float = math.nan,
+        roll_deg: float = math.nan,
+        pitch_deg: float = math.nan,
+        yaw_deg: float = math.nan,
+    ) -> None:
+        """Set the motion of the drone from now on, see `Motion`; call it before `step`.
 
-        The expansion is measured around this direction. If an angle is NaN, or the windows would
-        leave the image, the expansion is measured around the camera's default direction.
+        Parameters
+        ----------
+        right_deg, up_deg : float
+            Direction of flight, in degrees from the optical axis. The expansion is measured around
+            it. If an angle is NaN, or the window would leave the image, it is measured around the
+            camera's default direction.
+        speed_m_s, roll_deg, pitch_deg, yaw_deg : float
+            Speed, and the drone's attitude: positive with the right side down, the nose up, and to
+            the right. With them, `corridor` is measured, which the rule `corridor` compares.
         """
         is_known = math.isfinite(right_deg) and math.isfinite(up_deg)
-        self._expansion.head((right_deg, up_deg) if is_known else None)
+        motion = Motion((right_deg, up_deg), speed_m_s, roll_deg, pitch_deg, yaw_deg)
+        self._expansion.head(motion if is_known else None)
 
     def look(self, camera: Camera) -> None:
         """Measure the expansion with another camera from now on."""

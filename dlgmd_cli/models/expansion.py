@@ -16,9 +16,10 @@ from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models.approach import LEAST_AGE_S, approaching
 from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.columns import column, described
+from dlgmd_cli.models.corridor import Motion, fastest
 from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
-from dlgmd_cli.models.windows import Bounds, Camera, Direction
+from dlgmd_cli.models.windows import Bounds, Camera
 
 # Points along each side of the window ahead.
 N_AHEAD = 7
@@ -47,9 +48,10 @@ class Measured:
 
     `expansion_quality` is the weight of the rates in the mean `expansion`, as a share of the weight
     of exact ones: 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the dark, and
-    where everything moves too fast. `ttc_s` is 1 / `expansion`, or 1 / `approach` if this is less,
-    minus the mean age of what the rate was measured on; NaN where neither rate reaches
-    `LEAST_RATE`, or `expansion` has a quality below `LEAST_QUALITY`.
+    where everything moves too fast. `ttc_s` is 1 / `corridor` where this is known; else
+    1 / `expansion`, or 1 / `approach` if this is less; minus the mean age of what the rate was
+    measured on. It is NaN where the rate is below `LEAST_RATE`, or `expansion` has a quality below
+    `LEAST_QUALITY`.
     """
 
     expansion: float = column(
@@ -72,6 +74,11 @@ class Measured:
     expansion_y: float = column("–", "the same, from −1 (top) to 1")
     approach: float = column(
         "1/s", "expansion rate of an object that approaches a camera at rest; 0 if none does"
+    )
+    corridor: float = column(
+        "1/s",
+        "1 / (time to contact) of [points in the drone's way](measurements.md#the-way); "
+        "empty unless its motion is known",
     )
 
 
@@ -127,8 +134,9 @@ class Expansion:
     with the rates r, their standard errors e, `TAU_S` = τ and `ERROR` = E; `expansion_quality` is
     Σ w / Σ exp(-age / τ), and `expansion_upright` is the same mean of the growth of what stands
     `upright`. At constant speed, the time to contact was 1 / `expansion` when the rates had their
-    mean age Σ w age / Σ w; `ttc_s` is less by this age. `approach` is the rate of an object before
-    a camera at rest, from images `LEAST_AGE_S` apart.
+    mean age Σ w age / Σ w; `ttc_s` is less by this age. From images `LEAST_AGE_S` apart, `approach`
+    is the rate of an object before a camera at rest, and `corridor`, if the drone's motion is
+    known, that of points in its way, see `fastest`: the lesser of the last two.
 
     Parameters
     ----------
@@ -152,7 +160,7 @@ class Expansion:
     ) -> None:
         self._deflickers, self._flicker, self._at_rest = deflicker, Flicker(), at_rest
         self._camera = camera or Camera()
-        self._direction: Direction | None = None
+        self._motion: Motion | None = None
         self._filling: Filling | None = None
         self._shown: Flags | None = None
         self.reset()
@@ -163,7 +171,11 @@ class Expansion:
         self._earlier: deque[_Image] = deque()
         self._ahead = _Mean()
         self._still: Grey | None = None
+        self._still_motion: Motion | None = None
         self._still_s, self._near, self._place = 0.0, 0.0, (0.0, 0.0)
+        # The last two rates in the way, and the time between them; none if the motion is unknown.
+        self._in_way: list[float] = []
+        self._between_s = 0.0
         self._points_of: tuple[Bounds, Points] | None = None
         self._last_s = math.nan
 
@@ -179,12 +191,12 @@ class Expansion:
         """Measure with another camera from now on, see the class."""
         self._camera = camera
 
-    def head(self, direction: Direction | None) -> None:
+    def head(self, motion: Motion | None) -> None:
         """Measure around a direction of flight from now on; None for the camera's default.
 
         The camera's default direction also holds if the window would leave the image.
         """
-        self._direction = direction
+        self._motion = motion
 
     def step(self, grey: Grey, time_s: float | None = None) -> Measured:
         """Measure the expansion from an earlier image to this one.
@@ -211,7 +223,8 @@ class Expansion:
         if before is None or min(grey.shape) < LEAST_SIDE:
             return Measured()
         # The default direction holds where the image does not show the window of the given one.
-        window = self._camera.window(grey.shape, self._direction) or self._camera.window(grey.shape)
+        direction = None if self._motion is None else self._motion.direction
+        window = self._camera.window(grey.shape, direction) or self._camera.window(grey.shape)
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
@@ -239,23 +252,35 @@ class Expansion:
         return self._earlier[0] if self._earlier else None
 
     def _look_around(self, grey: Grey, step_s: float) -> None:
-        """Measure what approaches a camera at rest, whenever `LEAST_AGE_S` have passed.
+        """Measure what is in the way, or approaches a camera at rest, every `LEAST_AGE_S`.
 
         A copy of the last image, as a stalled stream shows it, has no time of its own: the next
         image is measured in its place.
         """
         self._still_s += step_s
         if self._still is None:
-            self._still, self._still_s = grey, 0.0
+            self._still, self._still_s, self._still_motion = grey, 0.0, self._motion
             return
         share = step_s / self._still_s
         if self._still_s >= LEAST_AGE_S and (
             self._still_s >= MOST_AGE_S
             or not _is_copy(grey, self._earlier[-2].grey, self._still, share)
         ):
-            growth, self._place = approaching(self._still, grey, self._shown)
-            self._near = growth / self._still_s
-            self._still, self._still_s = grey, 0.0
+            self._look(self._still, grey)
+            self._still, self._still_s, self._still_motion = grey, 0.0, self._motion
+
+    def _look(self, before: Grey, now: Grey) -> None:
+        """Measure what is in the way if the motion is known, else before a camera at rest."""
+        then, motion = self._still_motion, self._motion
+        if then is None or motion is None or not (then.has_way and motion.has_way):
+            growth, self._place = approaching(before, now, self._shown)
+            self._near, self._in_way = growth / self._still_s, []
+            return
+        age_s = self._still_s
+        rate, place = fastest(before, now, (then, motion), self._camera, age_s, self._shown)
+        self._near, self._between_s = 0.0, self._still_s
+        self._in_way = [*self._in_way[-1:], rate]
+        self._place = place if rate > 0.0 else self._place
 
     def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
         """The points of the window ahead; made anew only where the window moves."""
@@ -264,16 +289,23 @@ class Expansion:
         return self._points_of[1]
 
     def _measured(self, window: Bounds, shape: tuple[int, ...]) -> Measured:
-        """The rates, and the shorter time to contact with its place."""
+        """The rates, and the time to contact by the best of them, with its place."""
         (rate, upright, age_s), quality = self._ahead.values, self._ahead.quality
         left, top, right, bottom = window
         place = (left + right + 1.0) / shape[1] - 1.0, (top + bottom + 1.0) / shape[0] - 1.0
-        fastest = rate if quality >= LEAST_QUALITY else 0.0
-        if self._near > fastest:
+        best = rate if quality >= LEAST_QUALITY else 0.0
+        corridor = math.nan
+        if self._in_way:
+            # A single look may be wrong: what is there is seen twice.
+            corridor = min(self._in_way) if len(self._in_way) > 1 else 0.0
+            is_older = corridor < self._in_way[-1]
+            best, age_s = corridor, self._still_s + (self._between_s if is_older else 0.0)
+            place = self._place if corridor > 0.0 else place
+        elif self._near > best:
             # An object that approaches a camera at rest is measured as a whole.
-            fastest, age_s, place = self._near, self._still_s, self._place
-        ttc_s = max(1.0 / fastest - age_s, 0.0) if fastest >= LEAST_RATE else math.nan
-        return Measured(rate, upright, quality, ttc_s, *place, self._near)
+            best, age_s, place = self._near, self._still_s, self._place
+        ttc_s = max(1.0 / best - age_s, 0.0) if best >= LEAST_RATE else math.nan
+        return Measured(rate, upright, quality, ttc_s, *place, self._near, corridor)
 
 
 def _is_copy(now: Grey, last: Grey, earlier: Grey, share: float) -> bool:

@@ -153,21 +153,49 @@ def tracked(
     """
     if not len(points):
         return points, np.zeros(0, np.bool_), np.zeros(0, np.float32)
-    there, reached, texture = _track(before, now, points, None, maxLevel=TOP_LEVEL, flags=_FLAGS)
-    flags = _FLAGS | cv2.OPTFLOW_USE_INITIAL_FLOW
-    back, returned, _ = _track(
-        now, before, there, points.copy(), maxLevel=TOP_LEVEL_BACK, flags=flags
-    )
-    x, y = np.asarray(back - points, np.float32).T
-    returns = x * x + y * y < MAX_RETURN_PX**2
-    found = (np.asarray(reached) & np.asarray(returned)).ravel() > 0
-    return np.asarray(there, np.float32), found & returns, np.asarray(texture, np.float32).ravel()
+    places, reached, texture = _track(before, now, points, None, maxLevel=TOP_LEVEL, flags=_FLAGS)
+    there = np.asarray(places, np.float32)
+    found = (np.asarray(reached).ravel() > 0) & returns(before, now, points, there)
+    return there, found, np.asarray(texture, np.float32).ravel()
 
 
 def roughly_tracked(before: Grey, now: Grey, points: Points) -> tuple[Points, Flags]:
     """The same at half the cost: without the way back, so that some are not there."""
     there, reached, _ = _track(before, now, points, None, maxLevel=TOP_LEVEL, flags=_FLAGS)
     return np.asarray(there, np.float32), np.asarray(reached).ravel() > 0
+
+
+def tracked_near(
+    before: Grey, now: Grey, points: Points
+) -> tuple[Points, Flags, npt.NDArray[np.float32]]:
+    """Where points that move little are in the later image, without the way back.
+
+    Returns
+    -------
+    there : ndarray, shape (n, 2)
+    reached : ndarray, shape (n,), bool
+    differs : ndarray, shape (n,)
+        Mean absolute difference of the patches, in grey levels.
+    """
+    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
+    there, reached, differs = _track(
+        before, now, points, points.copy(), maxLevel=TOP_LEVEL_BACK, flags=flags
+    )
+    is_reached = np.asarray(reached).ravel() > 0
+    return np.asarray(there, np.float32), is_reached, np.asarray(differs, np.float32).ravel()
+
+
+def returns(before: Grey, now: Grey, points: Points, there: Points) -> Flags:
+    """Which points come back from the later image to where they were in the earlier one."""
+    if not len(points):
+        return np.zeros(0, np.bool_)
+    flags = _FLAGS | cv2.OPTFLOW_USE_INITIAL_FLOW
+    back, returned, _ = _track(
+        now, before, there, points.copy(), maxLevel=TOP_LEVEL_BACK, flags=flags
+    )
+    x, y = np.asarray(back - points, np.float32).T
+    came_back: Flags = x * x + y * y < MAX_RETURN_PX**2
+    return came_back & (np.asarray(returned).ravel() > 0)
 
 
 class Similarity(NamedTuple):

@@ -22,7 +22,7 @@ from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed
 ImagePoint = tuple[float, float]
 
 # The unit that follows a number of a column that a rule compares.
-_UNITS = {"ttc_s": " s", "expansion": "/s"}
+_UNITS = {"ttc_s": " s", "expansion": "/s", "corridor": "/s"}
 # The lowest frame rate, in frames/s, at which the expansion has been measured against the truth.
 MIN_FPS = 7.5
 # What holds a signal below the raw rate, see `Ahead.limit`.
@@ -31,8 +31,9 @@ GROUND, QUALITY, APPROACH = "ground", "quality", "approach"
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
 _T_MP = 0.4
-# The rate of what stands ahead, times the true time to contact: median of 66 rendered collisions.
-RATE_TIMES_TIME = 0.52
+# The rate of what stands ahead, and that of points in the way, times the true time to contact:
+# medians of rendered collisions.
+RATE_TIMES_TIME, IN_WAY_TIMES_TIME = 0.52, 0.85
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -58,8 +59,8 @@ class Rule:
     name : str
         The rule's name in parameters, tables, figures, pages and messages.
     column : str
-        The number of a `Detection` that gives the signal its unit: `level`, `expansion` or `ttc_s`;
-        empty for none of them. Unless `value` is overridden, this number is the signal.
+        The number of a `Detection` that gives the signal its unit: `level`, `expansion`, `ttc_s` or
+        `corridor`; empty for none of them. Unless `value` is overridden, this number is the signal.
     quantity : str
         The signal in words.
     key : str
@@ -352,6 +353,33 @@ class Ahead(Rule, name="expansion"):
     def as_time(value: float) -> float:
         """`RATE_TIMES_TIME` / value; infinite for an image that does not expand."""
         return math.inf if value <= 0.0 else RATE_TIMES_TIME / value
+
+
+class Corridor(Ahead, name="corridor"):
+    """An alarm while points in the drone's way approach at `corridor_alarm` or more.
+
+    At frames at which the drone's motion is unknown, or the drone is slow, the signal is that of
+    the rule `expansion`, in proportion to the two thresholds.
+    """
+
+    column, key, quantity = "corridor", "corridor_alarm", "rate in the way"
+
+    def value(self, row: Detection) -> float:
+        """The rate in the way, else that of the rule `expansion`."""
+        if not math.isnan(row.corridor):
+            return row.corridor
+        return super().value(row) * self.params.corridor_alarm / self.params.expansion_alarm
+
+    def limit(self, row: Detection, signal: float) -> str:
+        """What holds the signal of the rule `expansion`, where it is the signal."""
+        if not math.isnan(row.corridor):
+            return ""
+        return super().limit(row, super().value(row))
+
+    @staticmethod
+    def as_time(value: float) -> float:
+        """`IN_WAY_TIMES_TIME` / value; infinite if nothing is in the way."""
+        return math.inf if value <= 0.0 else IN_WAY_TIMES_TIME / value
 
 
 def rule_named(name: str) -> type[Rule]:

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Model, Response
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.health import UNMEASURED, Health, Measuring
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.models.rules import rule_of
-from dlgmd_cli.models.windows import Direction
 
 # What a step may leave out.
 NEURON, EXPANSION = "neuron", "expansion"
@@ -33,7 +33,7 @@ class Session:
     sizes_wh : sequence of (int, int)
         Width and height of the frames of each model, if a source gives several sizes.
     headings : callable, optional
-        Frame number -> direction of flight, None if unknown.
+        Frame number -> motion of the drone, None if unknown.
     health : Health, optional
         Says why the images show nothing. Without it, `Detection.blind` says only whether the
         expansion cannot be measured.
@@ -54,7 +54,7 @@ class Session:
         models: Sequence[Model],
         expansion: Expansion | None = None,
         sizes_wh: Sequence[tuple[int, int]] = (),
-        headings: Callable[[int], Direction | None] | None = None,
+        headings: Callable[[int], Motion | None] | None = None,
         health: Health | None = None,
     ) -> None:
         self.models, self.expansion, self._headings = [*models], expansion, headings

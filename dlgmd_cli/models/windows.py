@@ -42,6 +42,12 @@ class Camera:
         left, _, right, _ = self.crop
         return width / (right - left) / 2.0 / math.tan(math.radians(self.fov_deg) / 2.0)
 
+    def axis(self, shape: tuple[int, ...]) -> tuple[float, float]:
+        """Where the optical axis meets an image (H, W), in px; it may be outside a part."""
+        (height, width), (left, top, right, bottom) = shape, self.crop
+        x = (0.5 - left) * width / (right - left) - 0.5
+        return x, (0.5 - top) * height / (bottom - top) - 0.5
+
     @property
     def ahead(self) -> Direction:
         """The assumed direction of flight if none is reported: level with the drone."""
@@ -53,10 +59,8 @@ class Camera:
         None if less than `LEAST_SHOWN` of the window is inside the image.
         """
         right_deg, up_deg = self.ahead if direction is None else direction
-        (height, width), (left, top, right, bottom) = shape, self.crop
+        (height, width), (axis_x, axis_y) = shape, self.axis(shape)
         focal = self.focal(width)
-        axis_x = (0.5 - left) * width / (right - left) - 0.5
-        axis_y = (0.5 - top) * height / (bottom - top) - 0.5
         x = [axis_x + focal * _tangent(right_deg + deg) for deg in (-BESIDE_DEG, BESIDE_DEG)]
         y = [axis_y + focal * _tangent(-up_deg + deg) for deg in (-ABOVE_DEG, BELOW_DEG)]
         shown = _inside(x, width) * _inside(y, height)

@@ -78,11 +78,12 @@ class KnownRule(NamedTuple):
 
 
 # The alarm rules by name; `models.rules.Rule` adds the rules of other modules, without words.
-SPIKES = "spikes"
+SPIKES, EXPANSION, CORRIDOR = "spikes", "expansion", "corridor"
 RULES = {
     SPIKES: KnownRule("dlgmd_cli.models.rules:Spikes", "n_sp spikes in a row"),
-    "expansion": KnownRule(
-        "dlgmd_cli.models.rules:Ahead", "an expansion of expansion_alarm or more"
+    EXPANSION: KnownRule("dlgmd_cli.models.rules:Ahead", "an expansion of expansion_alarm or more"),
+    CORRIDOR: KnownRule(
+        "dlgmd_cli.models.rules:Corridor", "points in the drone's way at corridor_alarm or more"
     ),
     "ttc": KnownRule("dlgmd_cli.models.rules:Ttc", "a time to contact of ttc_alarm or less"),
 }
@@ -96,6 +97,7 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "alarm": ("spikes", "–", "–", f"rule that raises alarms: {', '.join(RULES)}"),
     "ttc_alarm": (1.25, "–", "s", "threshold of the rule ttc, a time to contact", 0.01, 100),
     "expansion_alarm": (0.47, "–", "1/s", "threshold of the rule expansion", 0.01, 10),
+    "corridor_alarm": (0.5, "–", "1/s", "threshold of the rule corridor", 0.01, 10),
 }
 
 
@@ -110,8 +112,8 @@ class Parameters:
     """Base of the parameter classes: frozen dataclasses of `key` fields, checked when created.
 
     Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
-    `alarm`, `ttc_alarm` or `expansion_alarm` gets the missing key with the default 0.4, 2, 0.01,
-    ``"spikes"``, 1.25 or 0.47.
+    `alarm`, `ttc_alarm`, `expansion_alarm` or `corridor_alarm` gets the missing key with the
+    default 0.4, 2, 0.01, ``"spikes"``, 1.25, 0.47 or 0.5.
 
     Attributes
     ----------
@@ -140,6 +142,8 @@ class Parameters:
         Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     expansion_alarm : float
         Expansion rate, in 1/s, above which the rule `expansion` raises an alarm.
+    corridor_alarm : float
+        Rate in the drone's way, in 1/s, above which the rule `corridor` raises an alarm.
     """
 
     model: ClassVar[str] = ""
@@ -155,6 +159,7 @@ class Parameters:
     alarm: str
     ttc_alarm: float
     expansion_alarm: float
+    corridor_alarm: float
 
     def __init_subclass__(cls, *, defaults: Mapping[str, Value] | None = None) -> None:
         """Add the missing common keys; `defaults` replaces the defaults of inherited keys."""

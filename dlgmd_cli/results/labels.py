@@ -26,7 +26,7 @@ from dlgmd_cli.video.opening import Openable, content_sha256, fingerprint
 
 _log = logging.getLogger(__name__)
 
-LABELS, TRUTH = "labels.csv", "truth"
+LABELS, TRUTH, HEADINGS = "labels.csv", "truth", "headings"
 # The required columns; the columns of words, and those that are parsed, which may be empty.
 _NEEDED, WORDS = ("video", "collision_frame"), ("target", "kind", "manner")
 _NUMBERS = {**ANGLES, "speed_m_s": Spec(float, 0, 1000, low_open=True)}
@@ -252,6 +252,8 @@ class Case:
         The frames whose true rate of growth is `NEAR_1_S` or more; empty if there is no truth.
     truth : TextTable, optional
         The table of the truth.
+    heading : str, optional
+        The path of the table of the drone's motion; None if there is none.
     """
 
     name: str
@@ -259,6 +261,7 @@ class Case:
     labels: tuple[Label, ...]
     near: tuple[int, ...] = ()
     truth: TextTable | None = None
+    heading: str | None = None
 
     @property
     def collisions(self) -> tuple[int, ...]:
@@ -287,8 +290,10 @@ def read_cases(path: Path) -> list[Case]:
         place = where if is_url(where) else str(path.parent / name)
         ordered = sorted(labels, key=lambda label: label.collision_frame or 0)
         truth = path.parent / TRUTH / f"{PurePath(name).stem}.csv"
-        found = near_frames(truth) if truth.is_file() else ()
-        cases.append(Case(name, place, tuple(ordered), *found))
+        near, table = near_frames(truth) if truth.is_file() else ((), None)
+        heading = path.parent / HEADINGS / truth.name
+        known = str(heading) if heading.is_file() else None
+        cases.append(Case(name, place, tuple(ordered), near, table, known))
     return cases
 
 

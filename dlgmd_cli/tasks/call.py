@@ -17,10 +17,11 @@ from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import in_argument, refuse
 from dlgmd_cli.parameters.facts import Record, Value, extended
-from dlgmd_cli.parameters.keys import RULES, SPIKES, changed
+from dlgmd_cli.parameters.keys import CORRIDOR, EXPANSION, RULES, SPIKES, changed
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
+from dlgmd_cli.tasks.camera import has_motion
 from dlgmd_cli.video.base import ImageOptions
 from dlgmd_cli.video.input_options import CHECKS, INPUT_ARGUMENTS, InputOptions
 from dlgmd_cli.video.opening import (
@@ -343,9 +344,12 @@ def fold(
     video: Openable | None = None,
     *,
     repeats_record: bool = True,
+    knows_motion: bool = False,
 ) -> Request:
     """The request from the arguments of a task; raises ParameterError, see `choose_all`.
 
+    If the task `knows_motion`, or a table of headings has it, and no rule is given, the rule is
+    that of `in_way`.
     For images in memory, `fps` is their rate unless `input_fps` is given. If the task
     `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
@@ -354,7 +358,11 @@ def fold(
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    setups = choose_all(model, with_rule(param, given.pop("alarm", None)), formulation)
+    rule, heading = given.pop("alarm", None), given.get("heading")
+    setups = choose_all(model, with_rule(param, rule), formulation)
+    knows_motion |= heading is not None and has_motion(os.fspath(heading))
+    if rule is None and knows_motion:
+        setups = [in_way(setup) for setup in setups]
     setups = [at_threshold(setup, **at) for setup in setups]
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
@@ -365,6 +373,13 @@ def fold(
             given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
     return Request(tuple(setups), options_for(repeated, given), conditional(given))
+
+
+def in_way(setup: Setup) -> Setup:
+    """The same model with the rule `corridor` in the place of `expansion`, for known motion."""
+    if setup.params.alarm != EXPANSION:
+        return setup
+    return replace(setup, params=changed(setup.params, alarm=CORRIDOR))
 
 
 def conditional(given: Mapping[str, Any]) -> frozenset[str]:

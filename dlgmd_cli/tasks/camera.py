@@ -8,7 +8,8 @@ import numpy as np
 
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.tables import TextTable, read_table
-from dlgmd_cli.models.windows import Camera, Direction
+from dlgmd_cli.models.corridor import Motion
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
@@ -20,25 +21,40 @@ from dlgmd_cli.video.input_options import InputOptions
 # Left, top, right and bottom edges, as shares of the sides of an image.
 Shares = tuple[float, float, float, float]
 
+# The direction of flight by frame; the rest of a `Motion`, which may be missing.
 HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
+MOTION_COLUMNS = ("speed_m_s", "roll_deg", "pitch_deg", "yaw_deg")
 
 
-def read_headings(path: str) -> Callable[[int], Direction | None]:
-    """The direction of flight at a frame, interpolated in a table.
+def read_headings(path: str) -> Callable[[int], Motion | None]:
+    """The motion at a frame, interpolated in a table.
 
-    The direction is None outside the table, and between two rows if either has no angles.
+    The motion is None outside the table, and between two rows if either has no direction. What the
+    table does not have is NaN.
 
     Raises ParameterError if the file is not a table of headings.
     """
-    frames, right_deg, up_deg = map(_heading_table(path).numbers, HEADING_COLUMNS)
+    table = _heading_table(path)
+    frames = table.numbers("frame")
+    columns = [table.numbers(name) for name in (*HEADING_COLUMNS[1:], *MOTION_COLUMNS)]
+    # A yaw goes on beyond 180 degrees.
+    yaw = columns[-1]
+    known = np.isfinite(yaw)
+    yaw[known] = np.unwrap(yaw[known], period=360.0)
 
-    def direction(frame: int) -> Direction | None:
+    def motion(frame: int) -> Motion | None:
         if not frames[0] <= frame <= frames[-1]:
             return None
-        right, up = (float(np.interp(frame, frames, angles)) for angles in (right_deg, up_deg))
-        return None if math.isnan(right + up) else (right, up)
+        right, up, *others = (float(np.interp(frame, frames, numbers)) for numbers in columns)
+        return None if math.isnan(right + up) else Motion((right, up), *others)
 
-    return direction
+    return motion
+
+
+def has_motion(path: str) -> bool:
+    """Whether a table of headings also has speeds and attitudes; raises as `read_headings`."""
+    table = _heading_table(path)
+    return all(np.isfinite(table.numbers(name)).any() for name in MOTION_COLUMNS)
 
 
 def _heading_table(path: str) -> TextTable:
@@ -52,9 +68,9 @@ def _heading_table(path: str) -> TextTable:
     for row in np.flatnonzero(~(np.isfinite(frames) & (frames > before))):
         hint = "Give a higher frame in each row."
         raise table.at(int(row), "frame", "is no frame after the one before", hint)
-    for name in HEADING_COLUMNS[1:]:
+    for name in (*HEADING_COLUMNS[1:], *MOTION_COLUMNS):
         for row in np.flatnonzero(np.isinf(table.numbers(name))):
-            raise table.at(int(row), name, "is no angle", "Write degrees.")
+            raise table.at(int(row), name, "is no number", "Write degrees, or m/s.")
     return table
 
 
@@ -72,13 +88,15 @@ def not_headed(
     path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
 ) -> str:
     """A warning with the number of frames with a usable heading; empty if all frames have one."""
-    direction, shape = read_headings(path), picture_wh[::-1]
-    directions = [direction(int(frame)) for frame in frames]
-    n_headed = sum(one is not None and camera.window(shape, one) is not None for one in directions)
-    if n_headed == len(directions):
+    motion_at, shape = read_headings(path), picture_wh[::-1]
+    motions = [motion_at(int(frame)) for frame in frames]
+    n_headed = sum(
+        one is not None and camera.window(shape, one.direction) is not None for one in motions
+    )
+    if n_headed == len(motions):
         return ""
     return (
-        f"{path}: {n_headed} of {counted(len(directions), 'frame')} are measured around its "
+        f"{path}: {n_headed} of {counted(len(motions), 'frame')} are measured around its "
         "directions; elsewhere it has none that the camera sees, and the default holds"
     )
 

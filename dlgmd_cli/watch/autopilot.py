@@ -11,6 +11,7 @@ from dlgmd_cli.models.stopping import ARDUCOPTER, JERK, PX4
 from dlgmd_cli.parameters.checks import nearest, shown
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.heading import MOTION_FRESH_S, Velocity, along_axes
+from dlgmd_cli.watch.reports import Attitude
 
 # Seconds for which a heartbeat is valid: at 1 Hz, two heartbeats may be lost.
 HEARD_S = 3.0
@@ -89,6 +90,8 @@ class Autopilot:
     brakes : tuple of Mode
         The modes that brake, in order; none for a plane, or for a VTOL of PX4 unless it reports
         that it hovers.
+    attitude : Attitude
+        The last reported one.
     jerk : (str, float) or None
         ArduCopter's parameter of the stop, by name, in m/s³; None until it has a valid value.
     """
@@ -100,9 +103,9 @@ class Autopilot:
         self.brakes: tuple[Mode, ...] = ()
         self.jerk: tuple[str, float] | None = None
         self._base_mode, self._vtol_state = 0, 0
-        # Velocities (north, east, down; m/s) and attitude (roll, pitch, yaw), with arrival times.
+        # Velocities (north, east, down; m/s), with arrival times.
         self._velocities: dict[str, tuple[tuple[float, float, float], float]] = {}
-        self._attitude, self._turned_s = (0.0, 0.0, 0.0), -math.inf
+        self.attitude = Attitude((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), -math.inf)
         self._moved_s = -math.inf
         self._motion: Velocity | None = None
         self.odd_speed_m_s = math.nan
@@ -140,10 +143,10 @@ class Autopilot:
         To be called about ten times per second.
         """
         velocity, now_s = self._velocity(MOTION_FRESH_S), time.monotonic()
-        if velocity is None or now_s - self._turned_s > MOTION_FRESH_S:
+        if velocity is None or now_s - self.attitude.came_s > MOTION_FRESH_S:
             self._motion = None
             return None
-        forward, right, up = along_axes(velocity, self._attitude)
+        forward, right, up = along_axes(velocity, self.attitude.angles)
         if self._motion is not None:
             new = 1.0 - math.exp((self._moved_s - now_s) / _MOTION_TAU_S)
             before_forward, before_right, before_up = self._motion
@@ -188,9 +191,10 @@ class Autopilot:
         elif kind == "EXTENDED_SYS_STATE":
             self._vtol_state = message.vtol_state
         elif kind == "ATTITUDE":
-            attitude = message.roll, message.pitch, message.yaw
-            if all(map(math.isfinite, attitude)):
-                self._attitude, self._turned_s = attitude, time.monotonic()
+            angles = message.roll, message.pitch, message.yaw
+            rates = message.rollspeed, message.pitchspeed, message.yawspeed
+            if all(map(math.isfinite, (*angles, *rates))):
+                self.attitude = Attitude(angles, rates, time.monotonic())
         elif kind in _VELOCITIES:
             unit = _VELOCITIES[kind]
             velocity = unit * message.vx, unit * message.vy, unit * message.vz

@@ -1,7 +1,9 @@
 """The direction of flight in the camera's image, from the motion that the autopilot reports."""
 
 import math
+import time
 
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.windows import Camera, Direction
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.reports import Reports
@@ -47,7 +49,7 @@ def direction_of(motion: Velocity, tilt_deg: float) -> Direction | None:
 
 
 class Heading:
-    """The direction of flight by an autopilot; reports when it becomes known or unknown.
+    """The motion by an autopilot; reports when its direction becomes known or unknown.
 
     Parameters
     ----------
@@ -64,28 +66,30 @@ class Heading:
         """Set the camera and the size of the images to which directions refer from now on."""
         self._camera, self._shape = camera, small_wh[::-1]
 
-    def direction(self) -> Direction | None:
-        """The reported direction; None if the camera's default direction holds."""
-        direction, why = self._found()
+    def motion(self) -> Motion | None:
+        """The reported motion now; None if the camera's default direction holds."""
+        motion, why = self._found()
         if why != self._why:
             self._why = why
             facts: dict[str, Json] = {"by": "default", "why": why}
-            if direction is not None:
-                right_deg, up_deg = direction
+            if motion is not None:
+                right_deg, up_deg = motion.direction
                 facts = {"by": "autopilot", "right_deg": round(right_deg, 1)}
                 facts["up_deg"] = round(up_deg, 1)
             self._reports.append((HEADING, facts))
-        return direction
+        return motion
 
-    def _found(self) -> tuple[Direction | None, str]:
-        """The reported direction, or the reason why there is none."""
-        motion = self._reports.motion
+    def _found(self) -> tuple[Motion | None, str]:
+        """The reported motion, or the reason why it has no direction."""
+        velocity, attitude = self._reports.motion, self._reports.attitude
         assert self._camera is not None  # `look` comes first
-        if motion is None:
+        if velocity is None:
             return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
-        if math.hypot(*motion) < (KEPT_M_S if self._why == "" else LEAST_M_S):
+        speed_m_s = math.hypot(*velocity)
+        if speed_m_s < (KEPT_M_S if self._why == "" else LEAST_M_S):
             return None, f"slower than {LEAST_M_S:g} m/s"
-        direction = direction_of(motion, self._camera.tilt_deg)
+        direction = direction_of(velocity, self._camera.tilt_deg)
         if direction is None or self._camera.window(self._shape, direction) is None:
             return None, "the camera does not see where the drone flies"
-        return direction, ""
+        angles = () if attitude is None else attitude.at(time.monotonic())
+        return Motion(direction, speed_m_s, *angles), ""

@@ -262,7 +262,8 @@ def live(
             name: options[name] for name in RULE_ARGUMENTS.keys() & options.keys() - {*_OF_INPUT}
         }
         refuse(others, f"works only with {argument('realtime')}, which plays a file")
-    request = fold(model, None, param, {**options, "threshold": chosen.threshold})
+    given = {**options, "threshold": chosen.threshold}
+    request = fold(model, None, param, given, knows_motion=chosen.mavlink is not None)
     reports = Reports()
     setup, threshold_at = _at_speed(request.setup, chosen, reports)
     frames = _source(source, setup, request.options, chosen)

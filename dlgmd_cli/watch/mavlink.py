@@ -168,6 +168,7 @@ class Mavlink:
             state |= self._step_stop()
         self._reports.speed_m_s = self._pilot.speed_m_s
         self._reports.motion = self._pilot.move()
+        self._reports.attitude = self._pilot.attitude
         self._ask(now_s)
         is_early = now_s - self._begin_s < HEARD_S and not self._pilot.is_heard
         if state != self._reported and not is_early:

@@ -20,14 +20,14 @@ from dlgmd_cli.frame import BgrImage, Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import started_thread
 from dlgmd_cli.models.columns import ALARMS
-from dlgmd_cli.models.windows import Direction
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.parameters.facts import InputFacts, Record, Summary
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import RowList
 from dlgmd_cli.results.files import names_of, written
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.camera import HEADING_COLUMNS, camera_of
+from dlgmd_cli.tasks.camera import HEADING_COLUMNS, MOTION_COLUMNS, camera_of
 from dlgmd_cli.tasks.describing import doubts_of, model_record, processed_record
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.input_options import InputOptions
@@ -202,7 +202,7 @@ class Recording:
         }
         if self._film is not None:
             self._film.put(answer.frame.picture, self._source.taken_fps)
-        self._write_heading(answer.heading, answer.frame.index)
+        self._write_heading(answer.motion, answer.frame.index)
         for name, header in self._headers.items():
             values = (others[key] if key in others else getattr(detection, key) for key in header)
             self._write_line(name, csv.cells(header, values))
@@ -212,15 +212,16 @@ class Recording:
         else:
             self._rows = RowList()
 
-    def _write_heading(self, direction: Direction | None, frame: int) -> None:
-        """Write the direction of flight, from the first known direction on."""
-        if direction is not None and HEADINGS not in self._files:
-            self._create(HEADINGS, HEADING_COLUMNS)
+    def _write_heading(self, motion: Motion | None, frame: int) -> None:
+        """Write the motion, from the first known one on."""
+        if motion is not None and HEADINGS not in self._files:
+            self._create(HEADINGS, (*HEADING_COLUMNS, *MOTION_COLUMNS))
         if HEADINGS in self._files:
             # In kept images, the frame number is the row number.
             at = frame if self._film is None else self.n_rows
-            angles = ("", "") if direction is None else map(repr, direction)
-            self._write_line(HEADINGS, [str(at), *angles])
+            numbers = () if motion is None else (*motion.direction, *motion[1:])
+            cells = [*map(repr, numbers)] or [""] * (len(HEADING_COLUMNS) + len(MOTION_COLUMNS) - 1)
+            self._write_line(HEADINGS, [str(at), *cells])
 
     def _write_whole(self) -> None:
         """Compute the summary and warnings, and write the files as `run` does, with `mp_seq`."""

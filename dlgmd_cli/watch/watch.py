@@ -14,9 +14,10 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import opencv_threads
 from dlgmd_cli.models.columns import MP
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, UNMEASURED
-from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, Direction, outside
+from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
@@ -84,8 +85,8 @@ class Answer:
         Speed of the drone by its autopilot; NaN if unknown.
     threshold : mapping of str to float
         The parameter and its value that hold the rule's threshold, if it follows the speed.
-    heading : (float, float) or None
-        The direction of flight by the autopilot if the expansion was measured around it, else None.
+    motion : Motion or None
+        The motion by the autopilot if the expansion was measured by it, else None.
     left_out : str
         What a busy computer left out of the answer, see `Load`; empty for nothing.
     """
@@ -102,7 +103,7 @@ class Answer:
     report: Mapping[str, Json] = field(default_factory=dict)
     speed_m_s: float = math.nan
     threshold: Mapping[str, float] = field(default_factory=dict)
-    heading: Direction | None = None
+    motion: Motion | None = None
     left_out: str = ""
 
     @property
@@ -278,7 +279,7 @@ class Watch:
             self._look()
         if self._threshold_at is not None:
             self._follow(self._threshold_at)
-        direction, alarm, rule = self._head(), self._alarm, self._alarm.rule
+        motion, alarm, rule = self._head(), self._alarm, self._alarm.rule
         began_s, left_out = time.monotonic(), self.load.left_out
         alarm.left_out = left_out
         row = alarm.step(frame, layers=self._source.wants_pictures)
@@ -292,7 +293,7 @@ class Watch:
             utc_s=_utc_s(frame.captured_s),
             speed_m_s=self._reports.speed_m_s,
             threshold={} if self._threshold_at is None else {rule.key: rule.threshold},
-            heading=direction,
+            motion=motion,
             left_out=left_out,
         )
 
@@ -322,13 +323,13 @@ class Watch:
                 stays = rule.threshold
                 _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, stays)
 
-    def _head(self) -> Direction | None:
-        """Measure the expansion around the direction of flight; returns the direction, or None."""
+    def _head(self) -> Motion | None:
+        """Measure by the reported motion; returns it, or None."""
         if self._heading is None:
             return None
-        direction = self._heading.direction()
-        self._alarm.heading(*(direction or ()))
-        return direction
+        motion = self._heading.motion()
+        self._alarm.heading(*(() if motion is None else (*motion.direction, *motion[1:])))
+        return motion
 
     def _reported(
         self, frame: Frame | None = None, row: Detection | None = None

@@ -192,7 +192,9 @@ class TestTruth:
 
     def test_group3_yaws_at_10_degrees_a_second(self, bare):
         path = stage_of(GROUPS["group3"]).path
-        assert path.at(4).attitude_deg[2] - path.at(1).attitude_deg[2] == pytest.approx(30, abs=1.5)
+        assert path.at(4).attitude_deg[2] - path.at(1).attitude_deg[2] == pytest.approx(
+            -30, abs=1.5
+        )
 
     @pytest.mark.parametrize("kind", [*KINDS])
     def test_every_kind_can_be_hit(self, bare, kind):

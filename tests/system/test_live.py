@@ -25,6 +25,7 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, Detection, load_set, read_result, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError, SourceError
 from dlgmd_cli.frame import FULL, Frame
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.health import BLIND_S
 from dlgmd_cli.models.rules import rule_of
@@ -991,7 +992,7 @@ def test_a_recording_with_headings_repeats(tmp_path):
                 side = (one.frame.index % 5) / 10.0
                 is_known = not 10 <= one.frame.index < 13
                 reports.motion = (2.0, side, 0.0) if is_known else None
-    assert "\n12,,\n" in (tmp_path / "r" / "heading.csv").read_text()
+    assert "\n12,,,,,,\n" in (tmp_path / "r" / "heading.csv").read_text()
     np.save(tmp_path / "frames.npy", frames)
     first = read_result(tmp_path / "r")
     again = run(tmp_path / "frames.npy", tmp_path / "r" / "run.yaml", input_fps=30)
@@ -1224,7 +1225,7 @@ def test_kept_pictures_are_read_again_at_the_rate_of_the_rows(tmp_path):
     given = source, choose(3), InputOptions(), alarm.model, sight, tmp_path / "r"
     with Recording(*given, film="pictures") as recording, source:
         for one in filter(None, Watch(source, alarm, sight).answers()):
-            recording.put(replace(one, heading=(0.0, 4.0)))
+            recording.put(replace(one, motion=Motion((0.0, 4.0))))
     record = yaml_of(tmp_path / "r" / "run.yaml")
     headings = np.genfromtxt(tmp_path / "r" / "heading.csv", delimiter=",", names=True)
     assert headings["frame"].tolist() == [*range(record["processed"]["frames"])]

@@ -303,6 +303,7 @@ def test_keys_without_a_range_and_those_of_every_model():
         "alarm": "spikes",
         "ttc_alarm": parameters.load_set(9).ttc_alarm,
         "expansion_alarm": parameters.load_set(9).expansion_alarm,
+        "corridor_alarm": 0.5,
     }
     assert type(params.gain) is float and Plain(gain=-7).gain == -7.0
     for wrong in ({"steps": 1.5}, {"gain": "much"}, {"t_mp": 2}, {"n_sp": 0}):

@@ -121,7 +121,9 @@ def text_of(params):
 
 
 def test_unknown_rules_are_refused(dlgmd, tmp_path):
-    with pytest.raises(ParameterError, match=r"'eithr' is not one of spikes, expansion, ttc"):
+    with pytest.raises(
+        ParameterError, match=r"'eithr' is not one of spikes, expansion, corridor, ttc"
+    ):
         load_set(9, alarm="eithr")
     with pytest.raises(ParameterError, match=r"there is no rule 'eithr'\. Did you mean 'either'"):
         rule_named("eithr")
@@ -158,7 +160,7 @@ def test_stored_results_of_an_unknown_rule_are_not_scored(dlgmd, runs, footage, 
     labels.write_text(f"video,collision_frame\n{footage / 'a.avi'},39\n")
     result = dlgmd("evaluate", labels, "--results", "b")
     assert result.exit_code == 1
-    assert "alarm = 'foo' is not one of spikes, expansion, ttc" in result.stderr
+    assert "alarm = 'foo' is not one of spikes, expansion, corridor, ttc" in result.stderr
 
 
 LASTING = documents.code_of("docs/own-models.md", "lasting.py")

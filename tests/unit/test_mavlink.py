@@ -398,7 +398,8 @@ def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
         if pitch_deg is not None:
             pilot.mav.attitude_send(0, 0, math.radians(pitch_deg), 0, 0, 0, 0)
         send.beat()
-        return heading.direction()
+        motion = heading.motion()
+        return None if motion is None else motion.direction
 
     def events():
         return [{**facts} for event, facts in told(reports) if event == "heading"]

@@ -12,12 +12,13 @@ from reference.clips import looming
 
 from dlgmd_cli import Alarm, open_video, run
 from dlgmd_cli.errors import DlgmdWarning, ParameterError
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead
 from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.parameters.presets import load_config, parameters_of
-from dlgmd_cli.tasks.camera import read_headings
+from dlgmd_cli.tasks.camera import has_motion, read_headings
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0), (12.0, -7.0), (-20.0, 5.0)])
@@ -60,7 +61,7 @@ def test_the_window_follows_a_heading_and_stays_where_it_is_out_of_view():
     answers = []
     for direction in (None, (60.0, 0.0), (180.0, 0.0), (0.0, 0.0), (8.0, 0.0)):
         expansion = Expansion(camera=camera)
-        expansion.head(direction)
+        expansion.head(None if direction is None else Motion(direction))
         answers.append(repr([expansion.step(frame, t / 30) for t, frame in enumerate(frames)]))
     assert len({*answers[:4]}) == 1 and answers[4] != answers[0]
 
@@ -70,7 +71,7 @@ def test_a_heading_counts_from_its_frame_on():
     straight, turned = Expansion(), Expansion()
     for t, frame in enumerate(approach(12, 30, 2.0, (240, 135), seed=3)):
         if t == 8:
-            turned.head((8.0, 0.0))
+            turned.head(Motion((8.0, 0.0)))
         rates = {repr(one.step(frame, t / 30).expansion) for one in (straight, turned)}
         assert len(rates) == (1 if t < 8 else 2)
 
@@ -85,7 +86,7 @@ def test_an_alarm_has_a_camera_and_a_heading():
     usual = last(Alarm())
     assert last(Alarm(), math.nan, 3.0) == usual != last(Alarm(), 8.0, 5.0)
     turned = Expansion()
-    turned.head((8.0, 5.0))
+    turned.head(Motion((8.0, 5.0)))
     rates = [turned.step(frame, t / 30).expansion for t, frame in enumerate(frames)]
     assert last(Alarm(), 8.0, 5.0) == rates[-1]
     assert math.isnan(last(Alarm(camera_tilt=30)))
@@ -136,14 +137,21 @@ def test_what_grows_twice_as_fast_down_as_across_is_ground():
 def test_what_a_table_of_headings_says(tmp_path):
     path = tmp_path / "h.csv"
     path.write_text("frame,right_deg,up_deg\n10,0,4\n20,10,6\n")
-    direction = read_headings(str(path))
-    assert direction(15) == (5.0, 5.0) and direction(9) is direction(21) is None
+    motion = read_headings(str(path))
+    assert motion(15).direction == (5.0, 5.0) and motion(9) is motion(21) is None
+    assert not motion(15).is_whole and not has_motion(str(path))
     path.write_bytes(
         b"\xef\xbb\xbfup_deg,frame,right_deg\r\n4,10,0\r\n,12,\r\nnan,13,2\r\n6,20,1\r\n"
     )
-    direction = read_headings(str(path))
-    known = [frame for frame in range(30) if direction(frame) is not None]
-    assert known == [10, 20] and direction(20) == (1.0, 6.0)
+    motion = read_headings(str(path))
+    known = [frame for frame in range(30) if motion(frame) is not None]
+    assert known == [10, 20] and motion(20).direction == (1.0, 6.0)
+    path.write_text(
+        "frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n"
+        "0,0,4,2,0,-4,179\n10,0,4,3,2,-4,-179\n"
+    )
+    assert has_motion(str(path))
+    assert read_headings(str(path))(5) == ((0.0, 4.0), 2.5, 1.0, -4.0, pytest.approx(180.0))
     head = "frame,right_deg,up_deg\n"
     for text, why in (
         (
@@ -151,7 +159,7 @@ def test_what_a_table_of_headings_says(tmp_path):
             "lacks right_deg; its columns are frame, up_deg",
         ),
         (f"{head}3,0,0\n3,0,0\n", "line 3, column frame: is no frame after the one before"),
-        (f"{head}3,inf,0\n", "line 2, column right_deg: is no angle"),
+        (f"{head}3,inf,0\n", "line 2, column right_deg: is no number"),
         (f"{head},0,0\n", "line 2, column frame"),
         (head, "has no row"),
         ("", "directions of flight: .*; it has no header"),

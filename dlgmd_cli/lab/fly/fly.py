@@ -18,7 +18,8 @@ from dlgmd_cli.lab.fly import gl
 from dlgmd_cli.lab.fly.scripts import TILT_S, Options, Script, script_of
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import LABELS, Label, write_labels
+from dlgmd_cli.results.labels import HEADINGS, LABELS, Label, write_labels
+from dlgmd_cli.results.labels import TRUTH as TRUTHS
 from dlgmd_cli.results.outcome import Written
 from dlgmd_cli.video.writer import best_codec, write_video
 
@@ -26,6 +27,7 @@ TRUTH = (
     "frame", "time_s", "distance_m", "closing_m_s", "time_to_contact_s", "roll_deg", "pitch_deg",
     "yaw_deg", "vx_m_s", "vy_m_s", "vz_m_s",
 )  # fmt: skip
+HEADING = ("frame", "right_deg", "up_deg", "speed_m_s", "roll_deg", "pitch_deg", "yaw_deg")
 Cell = str | int | float | None
 
 
@@ -42,6 +44,8 @@ class Flight:
         fly on their course until something is inside a tube as wide as the hull, measured from the
         camera; NaN if nothing is. `closing_m_s` is the speed on that course.
         `time_to_contact_s` counts to the contact of this flight; NaN without one, and after it.
+    headings : structured ndarray, shape (n,)
+        The columns of `HEADING`, as ``--heading`` reads them.
     collision_frame : int or None
         The first frame at which something is within `HULL_M` of the camera.
     record : dict
@@ -51,6 +55,7 @@ class Flight:
     frames: npt.NDArray[np.uint8]
     fps: float
     truth: npt.NDArray[np.void]
+    headings: npt.NDArray[np.void]
     collision_frame: int | None
     record: dict[str, Any]
 
@@ -101,10 +106,19 @@ def flown(options: Options) -> Flight:
         times = frame_times(stage.seconds, options.fps)
         frames = np.stack([stage.image(frame, time_s) for frame, time_s in enumerate(times)])
         rows = [(frame, time_s, *stage.truth(time_s)) for frame, time_s in enumerate(times)]
+        tilt_deg = script.camera_tilt_deg
+        states = [stage.path.at(time_s) for time_s in times]
+        headings = [(frame, *one.heading(tilt_deg)) for frame, one in enumerate(states)]
         contact_s = stage.contact_s
-    truth = np.array(rows, [(name, int if name == "frame" else float) for name in TRUTH])
+    truth = _structured(rows, TRUTH)
     collision = None if contact_s is None else math.ceil(contact_s * options.fps - 1e-6)
-    return Flight(frames, options.fps, truth, collision, record_of(script, options, collision))
+    record = record_of(script, options, collision)
+    return Flight(frames, options.fps, truth, _structured(headings, HEADING), collision, record)
+
+
+def _structured(rows: list[tuple[float, ...]], names: Sequence[str]) -> npt.NDArray[np.void]:
+    """Rows with these columns, the frame first."""
+    return np.array(rows, [(name, int if name == "frame" else float) for name in names])
 
 
 def frame_times(seconds: float, fps: float) -> list[float]:
@@ -140,7 +154,8 @@ def render(
 ) -> Written:
     """Render flights with consecutive seeds into a folder.
 
-    Writes a video or a folder of images for each, `truth/NAME.csv`, and `labels.csv` last. After
+    Writes a video or a folder of images for each, `truth/NAME.csv`, `headings/NAME.csv`, and
+    `labels.csv` last. After
     an error or an interruption, the flights that are there are whole, and the labels list them.
 
     Parameters
@@ -198,9 +213,13 @@ def _rendered(folder: Path, png: bool, options: Options) -> Label:
 
 
 def save(flight: Flight, folder: Path, name: str, *, png: bool) -> Path:
-    """Write a flight's truth and its video, or images; returns the path of the latter."""
-    truth = store.ClaimedFolder(folder / "truth")
-    truth.commit({f"{name}.csv": store.file_of(table(TRUTH, flight.truth.tolist()))})
+    """Write a flight's truth, motion and video, or images; returns the path of the latter."""
+    for known, columns, rows in (
+        (TRUTHS, TRUTH, flight.truth),
+        (HEADINGS, HEADING, flight.headings),
+    ):
+        beside = store.ClaimedFolder(folder / known)
+        beside.commit({f"{name}.csv": store.file_of(table(columns, rows.tolist()))})
     if not png:
         video = folder / f"{name}.mp4"
         shape = flight.frames.shape[1], flight.frames.shape[2]

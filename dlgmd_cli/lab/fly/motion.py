@@ -17,6 +17,8 @@ from dlgmd_cli.lab.fly.scripts import Leg, Script
 from dlgmd_cli.lab.fly.textures import FloatArray
 
 STEP_S = 1 / 240
+# A slower drone has no direction of flight, in m/s.
+LEAST_M_S = 0.5
 # Radius of the drone: what is that near to the camera is touched.
 HULL_M = 0.15
 G_M_S2 = 9.81
@@ -50,10 +52,27 @@ class State:
 
     @property
     def attitude_deg(self) -> tuple[float, float, float]:
-        """Roll (right side down), pitch (nose up), yaw (to the left), in degrees."""
+        """Roll (right side down), pitch (nose up), yaw (to the right), in degrees."""
         r = self.rotation
-        roll, yaw = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
+        roll, yaw = math.atan2(r[2, 1], r[2, 2]), -math.atan2(r[1, 0], r[0, 0])
         return math.degrees(roll), math.degrees(math.asin(r[2, 0])), math.degrees(yaw)
+
+    def heading(self, camera_tilt_deg: float) -> tuple[float, ...]:
+        """Direction of flight from the axis of a tilted camera, speed, and attitude.
+
+        To the right and upwards in degrees: NaN if the drone stands, or flies backwards.
+        """
+        forward, left, up = self.rotation.T @ self.velocity
+        tilt, speed = math.radians(camera_tilt_deg), float(np.linalg.norm(self.velocity))
+        along = math.cos(tilt) * forward + math.sin(tilt) * up
+        above = math.cos(tilt) * up - math.sin(tilt) * forward
+        direction = math.nan, math.nan
+        if along > 0.0 and speed >= LEAST_M_S:
+            direction = (
+                math.degrees(math.atan2(-left, along)),
+                math.degrees(math.atan2(above, along)),
+            )
+        return *direction, speed, *self.attitude_deg
 
 
 @dataclass(frozen=True)

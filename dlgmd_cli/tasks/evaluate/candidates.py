@@ -18,7 +18,7 @@ from dlgmd_cli.models.normalise import params_at_scale
 from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.models.stopping import BRAKES, Brake
 from dlgmd_cli.parameters.facts import Record, Size, extended, part_of
-from dlgmd_cli.parameters.keys import Parameters
+from dlgmd_cli.parameters.keys import CORRIDOR, Parameters
 from dlgmd_cli.parameters.presets import ANGLES, LkDivergenceParameters
 from dlgmd_cli.results.labels import Case, Label, StoredResults
 from dlgmd_cli.results.reading import read_result
@@ -292,8 +292,10 @@ def _run(request: Request, case: Case) -> dict[str, Result]:
     try:
         angles = {name: getattr(case.labels[0], name) for name in ANGLES}
         missing = {name: v for name, v in angles.items() if getattr(request.options, name) is None}
-        options = request.options.beside(case.path)
-        request = replace(request, options=replace(options, **missing))
+        options = replace(request.options.beside(case.path), **missing)
+        if any(setup.params.alarm == CORRIDOR for setup in request.setups):
+            options = replace(options, heading=case.heading)
+        request = replace(request, options=options)
         with request.open(case.path) as video:
             results = run_models(video, request)
             require_response(video, request, results)

@@ -1,0 +1,200 @@
+"""The rate of points in the drone's way, against scenes whose answer is known."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from dlgmd_cli import Alarm
+from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest
+from dlgmd_cli.models.expansion import Expansion, Measured
+from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.windows import Camera
+from dlgmd_cli.parameters.presets import load_preset, parameters_of
+
+CAMERA, SHAPE, SPEED_M_S, AGE_S = Camera(), (135, 240), 2.0, 0.1
+LEVEL = Motion((0.0, 0.0), SPEED_M_S, 0.0, 0.0, 0.0)
+
+
+def noise(seed):
+    """A texture of 2 m by 2 m, 400x400."""
+    grey = np.random.default_rng(seed).uniform(0, 255, (400, 400)).astype(np.float32)
+    grey = cv2.GaussianBlur(grey, (0, 0), 4)
+    return np.uint8(np.clip((grey - grey.mean()) * 6 + 128, 0, 255))
+
+
+WALL, OBJECT = noise(1), noise(2)
+
+
+def seen(motion, boards, tilt_deg=0.0, camera=CAMERA):
+    """What a camera sees of boards: texture, centre (right, down, forward; m) and half sides.
+
+    The boards face a level drone that looks along its yaw of 0.
+    """
+    height, width = SHAPE
+    focal, (axis_x, axis_y) = camera.focal(width), camera.axis(SHAPE)
+    axes = motion.axes(tilt_deg)
+    view = np.array(((focal, 0, axis_x), (0, focal, axis_y), (0, 0, 1))) @ axes
+    image = np.full(SHAPE, 128, np.uint8)
+    for texture, (right, down, forward), (half_x, half_y) in boards:
+        n = texture.shape[0]
+        # From px of the texture to north, east and down.
+        place = np.array(
+            (
+                (0, 0, forward),
+                (2 * half_x / n, 0, right - half_x),
+                (0, 2 * half_y / n, down - half_y),
+            )
+        )
+        turn = view @ place
+        flags = cv2.INTER_AREA
+        shown = cv2.warpPerspective(texture, turn, (width, height), flags=flags)
+        covers = cv2.warpPerspective(np.full_like(texture, 255), turn, (width, height))
+        image = np.where(covers > 127, shown, image)
+    return image
+
+
+def approach(distance_m, right_m=0.0, down_m=0.0, half_m=0.4, motions=(LEVEL, LEVEL), told=None):
+    """The rate of an object before a far wall, with the object at this distance at last."""
+    way = SPEED_M_S * AGE_S
+    images = [
+        seen(
+            motion,
+            [
+                (WALL, (0.0, 0.0, 30.0 + further), (25.0, 25.0)),
+                (OBJECT, (right_m, down_m, distance_m + further), (half_m, half_m)),
+            ],
+        )
+        for motion, further in zip(motions, (way, 0.0), strict=True)
+    ]
+    return fastest(*images, told or motions, CAMERA, AGE_S)
+
+
+@pytest.mark.parametrize("distance_m", [1.5, 2.5, 3.0])
+def test_an_object_that_fills_a_part_of_the_window_has_its_own_rate(distance_m):
+    rate, (x, y) = approach(distance_m)
+    assert rate == pytest.approx(SPEED_M_S / distance_m, rel=0.12)
+    assert abs(x) < 0.3 and abs(y) < 0.4
+
+
+def test_what_is_beside_the_way_does_not_count():
+    inside, outside = BESIDE_M, BESIDE_M + 0.8
+    assert approach(2.5, right_m=inside)[0] > 0.6
+    assert approach(2.5, right_m=outside) == approach(2.5, right_m=-outside) == NOTHING
+    # The way reaches less far down than up.
+    assert approach(2.5, down_m=-0.55)[0] > 0.6
+    assert approach(2.5, down_m=0.95) == NOTHING
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 4), (0, 3, 0), (5, 0, 0), (2, -2, -3)])
+def test_turns_of_the_drone_are_turned_back(turn):
+    """The direction of flight stays where it is: what the drone flies to moves in the image."""
+    after = LEVEL._replace(roll_deg=turn[0], pitch_deg=turn[1], yaw_deg=turn[2])
+    rate, _ = approach(2.5, motions=(LEVEL, after))
+    assert rate == pytest.approx(0.8, rel=0.15)
+
+
+@pytest.mark.parametrize("error_deg", [(3.0, 0.0), (0.0, 3.0), (-2.0, -2.0)])
+def test_an_error_of_the_direction_is_found(error_deg):
+    wrong = LEVEL._replace(direction=error_deg)
+    rate, _ = approach(2.5, told=(wrong, wrong))
+    assert rate == pytest.approx(0.8, rel=0.25)
+
+
+def test_a_repeated_pattern_does_not_approach():
+    """A far fence of stripes fits at several places, also where it would be if it came nearer."""
+    stripes = np.tile(np.uint8(128 + 100 * np.sin(np.arange(400) * 0.42)), (400, 1))
+    rng = np.random.default_rng(3)
+    images = [
+        seen(LEVEL, [(stripes, (0.0, 0.0, distance), (25.0, 25.0))])
+        + rng.integers(0, 3, SHAPE).astype(np.uint8)
+        for distance in (40.2, 40.0)
+    ]
+    assert fastest(*images, (LEVEL, LEVEL), CAMERA, AGE_S)[0] < 0.2
+
+
+def test_nothing_is_in_the_way_of_a_blank_image():
+    blank = np.full(SHAPE, 90, np.uint8)
+    assert fastest(blank, blank, (LEVEL, LEVEL), CAMERA, AGE_S) == NOTHING
+    hidden = np.zeros(SHAPE, np.bool_)
+    assert (
+        fastest(WALL[:135, :240], WALL[:135, :240], (LEVEL, LEVEL), CAMERA, AGE_S, hidden)
+        == NOTHING
+    )
+
+
+def test_a_tilted_camera_flies_below_its_axis():
+    camera = Camera(tilt_deg=15.0)
+    motion = LEVEL._replace(direction=(0.0, -15.0))
+    images = [
+        seen(motion, [(WALL, (0, 0, 30.0), (25, 25)), (OBJECT, (0, 0, z), (0.4, 0.4))], 15.0)
+        for z in (2.7, 2.5)
+    ]
+    rate, (_, y) = fastest(*images, (motion, motion), camera, AGE_S)
+    assert rate == pytest.approx(0.8, rel=0.12) and y > 0.3
+
+
+def flight(expansion, told, n=20, speed_m_s=2.0):
+    """Measure an approach to an object, with what the drone tells of its motion."""
+    rows = []
+    for k in range(n):
+        motion = told(k)
+        expansion.head(motion)
+        far = 3.5 - speed_m_s * k / 30
+        boards = [(WALL, (0, 0, 30.0), (25, 25)), (OBJECT, (0, 0, far), (0.35, 0.35))]
+        rows.append(expansion.step(seen(LEVEL, boards), k / 30))
+    return rows
+
+
+def test_two_looks_must_agree_and_the_time_to_contact_follows_the_way():
+    rows = flight(Expansion(), lambda k: LEVEL)
+    rates = [row.corridor for row in rows]
+    assert all(math.isnan(rate) for rate in rates[:4]) and rates[4] == 0.0
+    assert rates[-1] > 2.0 * rows[-1].expansion
+    true_s = (3.5 - 2.0 * 19 / 30) / 2.0
+    assert rows[-1].ttc_s == pytest.approx(true_s, abs=0.15)
+    assert rows[-1].approach == 0.0
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        lambda k: None,
+        lambda k: Motion((0.0, 0.0)),
+        lambda k: LEVEL._replace(speed_m_s=0.3),
+        lambda k: LEVEL._replace(yaw_deg=math.nan),
+    ],
+)
+def test_without_a_whole_motion_there_is_no_way(told):
+    rows = flight(Expansion(), told, 8)
+    assert all(math.isnan(row.corridor) for row in rows)
+
+
+def test_a_motion_that_is_lost_ends_the_rate():
+    rows = flight(Expansion(), lambda k: LEVEL if k < 12 else None)
+    assert rows[11].corridor > 0.0 and math.isnan(rows[-1].corridor)
+
+
+def test_the_rule_compares_the_way_and_else_the_window():
+    params = parameters_of(load_preset("flight"), {"alarm": "corridor"})
+    rule, row = rule_of(params), Alarm("flight").step(np.zeros((60, 80), np.uint8), 0.0)
+    window = Measured(0.47, 0.6, 1.0, approach=0.0)
+    row = replace(row, **vars(window))
+    assert rule.step(replace(row, corridor=0.5)).alarm
+    assert not rule.step(replace(row, corridor=0.0)).alarm
+    without = rule.step(row)
+    assert without.alarm and without.signal == pytest.approx(0.5)
+    ground = rule.step(replace(row, expansion_upright=0.1))
+    assert not ground.alarm and ground.signal_limit == "ground"
+
+
+def test_an_alarm_is_told_the_motion():
+    alarm = Alarm("flight", alarm="corridor")
+    for k in range(20):
+        alarm.heading(0.0, 0.0, SPEED_M_S, 0.0, 0.0, 0.0)
+        far = 3.5 - 2.0 * k / 30
+        boards = [(WALL, (0, 0, 30.0), (25, 25)), (OBJECT, (0, 0, far), (0.35, 0.35))]
+        row = alarm.step(seen(LEVEL, boards), k / 30)
+    assert row.alarm and row.rule == "corridor" and row.signal == row.corridor > 0.5
