@@ -43,7 +43,7 @@ from dlgmd_cli.video.source import Picture, Video
 from dlgmd_cli.watch import outputs, watch
 from dlgmd_cli.watch.heading import Heading
 from dlgmd_cli.watch.recording import KeptVideo, LastSeconds, Recording
-from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.reports import Attitude, Reports
 from dlgmd_cli.watch.statistics import Statistics
 from dlgmd_cli.watch.watch import (
     BLIND_WORDS,
@@ -981,8 +981,9 @@ def recorded(frames, folder, model=3, fps=30.0):
 
 
 def test_a_recording_with_headings_repeats(tmp_path):
-    """The directions of flight are a table of frames, with nothing where none was known."""
+    """The motion is a table of frames, with nothing where none was known."""
     frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
+    reports.attitude = Attitude((0.0, 0.02, 0.5), (0.0, 0.0, 0.1), time.monotonic())
     source, watched = played(frames, model_fps=30.0), {"reports": reports}
     watched["heading"] = Heading(reports)
     with recording_of(source, tmp_path / "r", watched=watched) as (recording, watch):
@@ -997,7 +998,9 @@ def test_a_recording_with_headings_repeats(tmp_path):
     first = read_result(tmp_path / "r")
     again = run(tmp_path / "frames.npy", tmp_path / "r" / "run.yaml", input_fps=30)
     np.testing.assert_allclose(again.expansion, first.expansion, rtol=1e-6)
-    assert len(np.unique(first.expansion_x[1:])) > 4
+    np.testing.assert_allclose(again.corridor, first.corridor, rtol=1e-6)
+    assert np.isfinite(first.corridor[[8, 15]]).tolist() == [True, False]
+    assert len(np.unique(first.expansion_x[1:])) > 3
     (tmp_path / "r" / "heading.csv").write_text("frame,right_deg,up_deg\n0,0,0\n")
     with pytest.warns(DlgmdWarning, match="heading.csv has changed since"):
         choose(tmp_path / "r" / "run.yaml")
