@@ -22,8 +22,10 @@ ALLOWED = {
     "dlgmd_cli.results.store",
     "dlgmd_cli.results.outcome",
     "dlgmd_cli.results.labels",
+    "dlgmd_cli.models.base",
     "dlgmd_cli.models.health",
     "dlgmd_cli.models.stopping",
+    "dlgmd_cli.parameters.presets",
     "dlgmd_cli.video.writer",
     "dlgmd_cli.plots.style",
 }
