@@ -282,7 +282,7 @@ def test_a_flight_has_its_phases_and_its_collision(monkeypatch):
 
     def fly(*scene, **options):
         given.append((scene, options))
-        return Flight(frames, 30.0, None, 4, {"phases": {"hover": [0, 2], "yaw": [2, 4]}})
+        return Flight(frames, 30.0, None, None, 4, {"phases": {"hover": [0, 2], "yaw": [2, 4]}})
 
     monkeypatch.setattr(clips, "fly", fly)
     (clip,) = {clip for clip in flights.clips_of(Plan(quick=True), 3) if clip.seed == 2}

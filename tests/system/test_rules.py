@@ -41,7 +41,7 @@ def results():
     found = {}
     for name in RULES:
         param = PARAM | {"alarm": name}
-        if name in ("spikes", "expansion"):
+        if name in ("spikes", "expansion", "corridor"):
             del param["ttc_alarm"]
         found[name] = dlgmd_cli.run(LOOM, 9, fps=30, param=param, repeats="keep")
     return found
