@@ -235,6 +235,8 @@ def requiring_rules(setups: list[Setup], param: Mapping[str, Value] | None) -> l
     rules = {setup.params.alarm for setup in setups}
     if all(RULES[name].words for name in rules):  # a rule of one's own may read any parameter
         others = {f"{name}_alarm" for name in RULES} - {f"{name}_alarm" for name in rules}
+        if CORRIDOR in rules:  # where the motion is unknown, it compares as the rule expansion
+            others.discard(f"{EXPANSION}_alarm")
         unused = {key: value for key, value in (param or {}).items() if key in others}
         refuse(unused, f"has no effect with the rule {' or '.join(sorted(rules))}")
     return setups

@@ -5,13 +5,14 @@ from contextlib import nullcontext, suppress
 
 import numpy as np
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import SourceError, argument
 from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.expansion import too_small
 from dlgmd_cli.models.windows import Camera, outside
 from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts
+from dlgmd_cli.parameters.keys import CORRIDOR
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.csv import Rows
 from dlgmd_cli.results.result import Result
@@ -147,6 +148,11 @@ def doubts_of(
     lines = result.doubts()
     if unmeasured := too_small(source_wh) or outside(camera, source_wh):
         return [*lines, unmeasured] if result.rule.uses_expansion else lines
+    if result.rule.name == CORRIDOR and not np.isfinite(result.corridor).any():
+        lines.append(
+            "the drone's motion is unknown, so the rule corridor compares what the window shows; "
+            f"give {argument('heading')} with speed and attitude"
+        )
     if heading is not None:
         lines.append(not_headed(heading, camera, source_wh, result.frame))
         lines.append(headings_misfit(heading, result))

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli import Alarm
+from dlgmd_cli import Alarm, DlgmdWarning, run
 from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.rules import rule_of
@@ -198,3 +198,28 @@ def test_an_alarm_is_told_the_motion():
         boards = [(WALL, (0, 0, 30.0), (25, 25)), (OBJECT, (0, 0, far), (0.35, 0.35))]
         row = alarm.step(seen(LEVEL, boards), k / 30)
     assert row.alarm and row.rule == "corridor" and row.signal == row.corridor > 0.5
+
+
+def test_a_run_without_the_motion_says_what_the_rule_compares():
+    frames = [seen(LEVEL, [(WALL, (0, 0, 5.0 - k / 15), (25, 25))]) for k in range(8)]
+    with pytest.warns(DlgmdWarning, match="drone's motion is unknown"):
+        result = run(np.stack(frames), alarm="corridor", param={"expansion_alarm": 0.4}, fps=30)
+    assert result.params.alarm == "corridor"
+
+
+def test_a_table_with_the_motion_makes_the_rule_the_default(tmp_path):
+    path = tmp_path / "heading.csv"
+    path.write_text(
+        "frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n0,0,0,2,0,0,0\n19,0,0,2,0,0,0\n"
+    )
+    frames = [
+        seen(LEVEL, [(WALL, (0, 0, 30), (25, 25)), (OBJECT, (0, 0, 3.5 - k / 15), (0.35, 0.35))])
+        for k in range(20)
+    ]
+    result = run(np.stack(frames), heading=path, fps=30)
+    assert result.params.alarm == "corridor" and result.alarms[-1]
+    kept = run(np.stack(frames), heading=path, fps=30, alarm="expansion")
+    assert kept.params.alarm == "expansion"
+    np.testing.assert_array_equal(kept.corridor, result.corridor)
+    path.write_text("frame,right_deg,up_deg\n0,0,0\n19,0,0\n")
+    assert run(np.stack(frames), heading=path, fps=30).params.alarm == "expansion"

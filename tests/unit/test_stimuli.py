@@ -1,9 +1,7 @@
 """Scenes of plain objects: their shapes, their frames, and their ground truth."""
 
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from conftest import read_video
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference_data import reference_dir
 
 import dlgmd_cli
 from dlgmd_cli.errors import OutputExistsError, ParameterError
@@ -326,10 +325,7 @@ def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
 
 
 def test_the_basic_videos_are_the_stored_ones_to_the_pixel():
-    folder = os.environ.get("DLGMD_REFERENCE")
-    if folder is None:
-        pytest.skip("DLGMD_REFERENCE is not set")
-    stored = np.load(Path(folder) / "field" / "stimuli.npz")
+    stored = np.load(reference_dir() / "field" / "stimuli.npz")
     videos = dlgmd_cli.synth("benchmark")
     assert videos.frames.shape == (16, 50, 240, 432)
     common = [one for one in videos.videos.values() if one.name in stored]
