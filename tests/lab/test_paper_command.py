@@ -26,7 +26,7 @@ def ball(scene, *, seed, size, fps):
     for n, frame in enumerate(frames):
         half = min(13, 26 // max(1, 141 - n))
         frame[13 - half : 13 + half, 24 - half : 24 + half] = 20
-    return Flight(frames, fps, None, 140, {"phases": PHASES})
+    return Flight(frames, fps, None, None, 140, {"phases": PHASES})
 
 
 @pytest.fixture
