@@ -14,9 +14,9 @@ from dlgmd_cli.models.growth import (
     MIN_POINTS,
     Points,
     Similarity,
-    roughly_tracked,
     similarity,
     tracked,
+    tracked_near,
     visible,
 )
 
@@ -101,9 +101,7 @@ def approaching(
 def _flies(before: Grey, now: Grey, shown: Flags | None) -> bool:
     """Whether the camera is far from being at rest, by the fewest points."""
     points, _ = _spread(now.shape, FEWEST_ACROSS, shown)
-    if len(points) < 2 * MIN_POINTS:
-        return False
-    there, found = roughly_tracked(before, now, points)
+    there, found, _ = tracked_near(before, now, points)
     if np.count_nonzero(found) < 2 * MIN_POINTS:
         return False
     return _moves(similarity(points[found], there[found]), FAR)

@@ -39,8 +39,8 @@ N_STEPS, OUTSIDE = 4, 3.0
 MOST_ERROR, LEAST_RAD, MOST_ACROSS, SHARE_ACROSS = 1.0, 0.03, 5.0, 0.3
 # So many of 3 x 3 neighbouring points reach the rate.
 SUPPORT = 6
-# What `fastest` gives if nothing is in the way.
-NOTHING = 0.0, (math.nan, math.nan)
+# What `fastest` gives if nothing is in the way, and if too few points can be tracked to say so.
+NOTHING, UNKNOWN = (0.0, (math.nan, math.nan)), (math.nan, (math.nan, math.nan))
 
 _Numbers = npt.NDArray[np.float64]
 
@@ -112,9 +112,9 @@ def fastest(
     -------
     rate : float
         1 / (time to contact) at the later image, in 1/s, less its standard error; 0 if nothing is
-        in the way.
+        in the way, NaN if too few points can be tracked.
     place : (float, float)
-        Of the points in the earlier image, x and y from -1 to 1; NaN if nothing is in the way.
+        Of the points in the earlier image, x and y from -1 to 1; NaN without a rate above 0.
 
     Notes
     -----
@@ -137,11 +137,11 @@ def fastest(
     usable = _usable(points, now.shape, shown)
     usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
     if np.count_nonzero(usable) < 2 * MIN_POINTS:
-        return NOTHING
+        return UNKNOWN
     there, reached, differs = tracked_near(before, turned, points[usable])
     kept = np.flatnonzero(usable)[reached]
     if len(kept) < 2 * MIN_POINTS:
-        return NOTHING
+        return UNKNOWN
     points, there = points[kept], there[reached]
     column, row = np.rint(points).astype(np.intp).T
     moved = differs[reached] + NOISE_LEVELS < BETTER * (at_rest[row, column] + NOISE_LEVELS)

@@ -50,8 +50,8 @@ class Measured:
     of exact ones: 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the dark, and
     where everything moves too fast. `ttc_s` is 1 / `corridor` where this is known; else
     1 / `expansion`, or 1 / `approach` if this is less; minus the mean age of what the rate was
-    measured on. It is NaN where the rate is below `LEAST_RATE`, or `expansion` has a quality below
-    `LEAST_QUALITY`.
+    measured on. It is NaN where the rate is below `LEAST_RATE`, and without `corridor` where
+    `expansion` has a quality below `LEAST_QUALITY`.
     """
 
     expansion: float = column(
@@ -78,7 +78,7 @@ class Measured:
     corridor: float = column(
         "1/s",
         "1 / (time to contact) of [points in the drone's way](measurements.md#the-way); "
-        "empty unless its motion is known",
+        "0 if nothing is, empty unless its motion is known and two looks have measured it",
     )
 
 
@@ -222,16 +222,19 @@ class Expansion:
         self._earlier.append(now)
         if before is None or min(grey.shape) < LEAST_SIDE:
             return Measured()
-        # The default direction holds where the image does not show the window of the given one.
-        direction = None if self._motion is None else self._motion.direction
-        window = self._camera.window(grey.shape, direction) or self._camera.window(grey.shape)
+        motion, window = self._motion, None
+        if motion is not None:
+            window = self._camera.window(grey.shape, motion.direction)
+        if window is None:
+            # The image does not show where the drone flies: the default direction holds.
+            motion, window = None, self._camera.window(grey.shape)
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
         ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
         self._ahead.add(ahead, age_s, step_s)
         if self._at_rest:
-            self._look_around(grey, step_s)
+            self._look_around(grey, step_s, motion)
         return self._measured(window, grey.shape)
 
     def _prepared(self, grey: Grey) -> Grey:
@@ -251,7 +254,7 @@ class Expansion:
             self._earlier.popleft()
         return self._earlier[0] if self._earlier else None
 
-    def _look_around(self, grey: Grey, step_s: float) -> None:
+    def _look_around(self, grey: Grey, step_s: float, motion: Motion | None) -> None:
         """Measure what is in the way, or approaches a camera at rest, every `LEAST_AGE_S`.
 
         A copy of the last image, as a stalled stream shows it, has no time of its own: the next
@@ -259,19 +262,19 @@ class Expansion:
         """
         self._still_s += step_s
         if self._still is None:
-            self._still, self._still_s, self._still_motion = grey, 0.0, self._motion
+            self._still, self._still_s, self._still_motion = grey, 0.0, motion
             return
         share = step_s / self._still_s
         if self._still_s >= LEAST_AGE_S and (
             self._still_s >= MOST_AGE_S
             or not _is_copy(grey, self._earlier[-2].grey, self._still, share)
         ):
-            self._look(self._still, grey)
-            self._still, self._still_s, self._still_motion = grey, 0.0, self._motion
+            self._look(self._still, grey, motion)
+            self._still, self._still_s, self._still_motion = grey, 0.0, motion
 
-    def _look(self, before: Grey, now: Grey) -> None:
+    def _look(self, before: Grey, now: Grey, motion: Motion | None) -> None:
         """Measure what is in the way if the motion is known, else before a camera at rest."""
-        then, motion = self._still_motion, self._motion
+        then = self._still_motion
         if then is None or motion is None or not (then.has_way and motion.has_way):
             growth, self._place = approaching(before, now, self._shown)
             self._near, self._in_way = growth / self._still_s, []
@@ -279,7 +282,7 @@ class Expansion:
         age_s = self._still_s
         rate, place = fastest(before, now, (then, motion), self._camera, age_s, self._shown)
         self._near, self._between_s = 0.0, self._still_s
-        self._in_way = [*self._in_way[-1:], rate]
+        self._in_way = [] if math.isnan(rate) else [*self._in_way[-1:], rate]
         self._place = place if rate > 0.0 else self._place
 
     def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
@@ -295,9 +298,8 @@ class Expansion:
         place = (left + right + 1.0) / shape[1] - 1.0, (top + bottom + 1.0) / shape[0] - 1.0
         best = rate if quality >= LEAST_QUALITY else 0.0
         corridor = math.nan
-        if self._in_way:
-            # A single look may be wrong: what is there is seen twice.
-            corridor = min(self._in_way) if len(self._in_way) > 1 else 0.0
+        if len(self._in_way) > 1:  # a single look may be wrong
+            corridor = min(self._in_way)
             is_older = corridor < self._in_way[-1]
             best, age_s = corridor, self._still_s + (self._between_s if is_older else 0.0)
             place = self._place if corridor > 0.0 else place

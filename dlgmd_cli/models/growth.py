@@ -159,12 +159,6 @@ def tracked(
     return there, found, np.asarray(texture, np.float32).ravel()
 
 
-def roughly_tracked(before: Grey, now: Grey, points: Points) -> tuple[Points, Flags]:
-    """The same at half the cost: without the way back, so that some are not there."""
-    there, reached, _ = _track(before, now, points, None, maxLevel=TOP_LEVEL, flags=_FLAGS)
-    return np.asarray(there, np.float32), np.asarray(reached).ravel() > 0
-
-
 def tracked_near(
     before: Grey, now: Grey, points: Points
 ) -> tuple[Points, Flags, npt.NDArray[np.float32]]:
@@ -177,6 +171,8 @@ def tracked_near(
     differs : ndarray, shape (n,)
         Mean absolute difference of the patches, in grey levels.
     """
+    if not len(points):
+        return points, np.zeros(0, np.bool_), np.zeros(0, np.float32)
     flags = cv2.OPTFLOW_USE_INITIAL_FLOW
     there, reached, differs = _track(
         before, now, points, points.copy(), maxLevel=TOP_LEVEL_BACK, flags=flags

@@ -209,16 +209,20 @@ def choose_all(
     model: ModelName | ModelNames | None,
     param: Mapping[str, Value] | None = None,
     formulation: str | None = None,
+    *,
+    knows_motion: bool = False,
 ) -> list[Setup]:
-    """The setups of one model or a list of models; the last two arguments apply to all.
+    """The setups of one model or a list of models; the other arguments apply to all.
 
     In a list, each parameter applies to the models with its key; a key of no model is an error.
+    `knows_motion` says that the rule `corridor` takes the place of the rule `expansion`.
     """
     models = model if isinstance(model, list | tuple) else [model]
     if not models:
         raise ParameterError("", "the list of models is empty", "Write [9, 'lgmd'], for example.")
     if len(models) == 1 or not param:
-        return requiring_rules([choose(name, param, formulation) for name in models], param)
+        setups = [choose(name, param, formulation) for name in models]
+        return requiring_rules(by_motion(setups) if knows_motion else setups, param)
     unchanged = [choose(name).params for name in models]
     for key in param:
         if not any(key in params.to_dict() for params in unchanged):
@@ -227,7 +231,17 @@ def choose_all(
     for name, params in zip(models, unchanged, strict=True):
         known = {key: value for key, value in param.items() if key in params.to_dict()}
         setups.append(choose(name, known, formulation))
-    return requiring_rules(setups, param)
+    return requiring_rules(by_motion(setups) if knows_motion else setups, param)
+
+
+def by_motion(setups: Iterable[Setup]) -> list[Setup]:
+    """The same models with the rule `corridor` in the place of `expansion`."""
+    return [
+        replace(setup, params=changed(setup.params, alarm=CORRIDOR))
+        if setup.params.alarm == EXPANSION
+        else setup
+        for setup in setups
+    ]
 
 
 def requiring_rules(setups: list[Setup], param: Mapping[str, Value] | None) -> list[Setup]:
@@ -350,21 +364,19 @@ def fold(
 ) -> Request:
     """The request from the arguments of a task; raises ParameterError, see `choose_all`.
 
-    If the task `knows_motion`, or a table of headings has it, and no rule is given, the rule is
-    that of `in_way`.
-    For images in memory, `fps` is their rate unless `input_fps` is given. If the task
-    `repeats_record`, a single model from a run.yaml brings the options of that run.
+    If the task `knows_motion`, or a table of headings has it, and no rule is given, the rules are
+    those of `by_motion`. For images in memory, `fps` is their rate unless `input_fps` is given. If
+    the task `repeats_record`, a single model from a run.yaml brings the options of that run.
     """
     given = dict(options)
     at = taken_threshold(given)
     is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
     if is_in_memory and given.get("input_fps") is None:
         given["input_fps"] = given.pop("fps", None)
-    rule, heading = given.pop("alarm", None), given.get("heading")
-    setups = choose_all(model, with_rule(param, rule), formulation)
+    param, heading = with_rule(param, given.pop("alarm", None)), given.get("heading")
     knows_motion |= heading is not None and has_motion(os.fspath(heading))
-    if rule is None and knows_motion:
-        setups = [in_way(setup) for setup in setups]
+    knows_motion &= "alarm" not in (param or {})
+    setups = choose_all(model, param, formulation, knows_motion=knows_motion)
     setups = [at_threshold(setup, **at) for setup in setups]
     rules = {setup.params.alarm: rule_of(setup.params) for setup in setups}
     for name, rule in rules.items() if given.get("normalise") else ():
@@ -375,13 +387,6 @@ def fold(
             given[name] = getattr(setups[0].options, name)
     repeated = setups[0] if repeats_record and len(setups) == 1 else None
     return Request(tuple(setups), options_for(repeated, given), conditional(given))
-
-
-def in_way(setup: Setup) -> Setup:
-    """The same model with the rule `corridor` in the place of `expansion`, for known motion."""
-    if setup.params.alarm != EXPANSION:
-        return setup
-    return replace(setup, params=changed(setup.params, alarm=CORRIDOR))
 
 
 def conditional(given: Mapping[str, Any]) -> frozenset[str]:

@@ -193,8 +193,10 @@ class Autopilot:
         elif kind == "ATTITUDE":
             angles = message.roll, message.pitch, message.yaw
             rates = message.rollspeed, message.pitchspeed, message.yawspeed
-            if all(map(math.isfinite, (*angles, *rates))):
-                self.attitude = Attitude(angles, rates, time.monotonic())
+            if all(map(math.isfinite, angles)):
+                is_turning = all(map(math.isfinite, rates))
+                known = rates if is_turning else (0.0, 0.0, 0.0)
+                self.attitude = Attitude(angles, known, time.monotonic())
         elif kind in _VELOCITIES:
             unit = _VELOCITIES[kind]
             velocity = unit * message.vx, unit * message.vy, unit * message.vz

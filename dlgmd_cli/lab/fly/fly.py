@@ -155,8 +155,8 @@ def render(
     """Render flights with consecutive seeds into a folder.
 
     Writes a video or a folder of images for each, `truth/NAME.csv`, `headings/NAME.csv`, and
-    `labels.csv` last. After
-    an error or an interruption, the flights that are there are whole, and the labels list them.
+    `labels.csv` last. After an error or an interruption, the flights that are there are whole, and
+    the labels list them.
 
     Parameters
     ----------
