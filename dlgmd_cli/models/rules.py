@@ -132,11 +132,16 @@ class Rule:
         """For the scripts of pages: name, column, threshold with its label, and `longest_ttc_s`."""
         return {
             "name": self.name,
-            "column": self.column or "signal",
+            "column": self.panel,
             "threshold": self.threshold,
             "text": self.line_text,
             "longest_ttc_s": self.longest_ttc_s,
         }
+
+    @property
+    def panel(self) -> str:
+        """The column in whose panel figures and pages show the signal, or `signal`: its own."""
+        return self.column if self.column in ("level", "expansion", "ttc_s") else "signal"
 
     @property
     def uses_level(self) -> bool:

@@ -28,7 +28,11 @@ MP_COLUMNS = ("level", "mp_abs", "mp_seq")
 LEVEL_NAMES = {False: "MP (fixed scale)", True: "MP (min–max)"}
 EITHER = "Normalised MP"
 # Column that a rule compares -> name of an axis; of a rule of one's own: Signal.
-SIGNAL_NAMES = {"expansion": "Expansion (1/s)", "ttc_s": "TTC (s)"}
+SIGNAL_NAMES = {
+    "expansion": "Expansion (1/s)",
+    "corridor": "In the way (1/s)",
+    "ttc_s": "TTC (s)",
+}
 # Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
 # last four looks serve other figures, and one panel of up to eight results.
 LOOKS: tuple[tuple[str, style.Dashes], ...] = (
@@ -378,12 +382,12 @@ def _draw_ttc(axes: Axes, traces: list[Trace], scale: AxisScale) -> style.Entrie
 
 
 def has_own_signal(result: Result) -> bool:
-    """Whether a rule compares what no other panel shows: a rule of one's own."""
+    """Whether a rule compares what no other panel shows."""
     rule = result.rule
     if rule.column == "level":
         is_spike = rule.threshold == result.threshold
         return not (is_spike and _are_equal([result.signal, result.level]))
-    return not rule.column
+    return rule.panel == "signal"
 
 
 def signal_limits(result: Result) -> tuple[float, float]:

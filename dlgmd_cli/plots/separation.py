@@ -59,13 +59,15 @@ def scores(
 
 
 def curves(found: Separations, width: style.Width = "one") -> style.Figure:
-    """ROC, and precision over recall, of frames above and of videos below."""
+    """ROC, and precision over recall, of frames and, below, of videos if they have curves."""
+    has_videos = any(of[VIDEOS].positives and of[VIDEOS].negatives for of in found.values())
+    rows = (FRAMES, VIDEOS) if has_videos else (FRAMES,)
     with style.house_style():
-        figure = style.new_figure(2.0 * _PANEL_IN, width)
-        panels = figure.subplots(2, 2, sharex=True, sharey=True)
+        figure = style.new_figure(_PANEL_IN * len(rows) + 0.3, width)
+        panels = figure.subplots(len(rows), 2, sharex=True, sharey=True, squeeze=False)
         panels[0, 0].set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
         entries: style.Entries = []
-        for (roc, precision), by in zip(panels, (FRAMES, VIDEOS), strict=True):
+        for (roc, precision), by in zip(panels, rows, strict=True):
             roc.plot([0.0, 1.0], [0.0, 1.0], color="0.8", linewidth=0.7)
             roc.set_ylabel(f"Recall ({by})")
             precision.set_ylabel("Precision")
@@ -86,7 +88,7 @@ def curves(found: Separations, width: style.Width = "one") -> style.Figure:
                 steps = np.append(one.precision[0], one.precision)
                 look["drawstyle"] = "steps-pre"  # the area below is the average precision
                 precision.plot(recall, steps, markevery=_EVERY, **look)
-        panels[1, 0].set_xlabel("False positive rate")
-        panels[1, 1].set_xlabel("Recall")
+        panels[-1, 0].set_xlabel("False positive rate")
+        panels[-1, 1].set_xlabel("Recall")
         style.add_legend(figure, entries)
     return figure

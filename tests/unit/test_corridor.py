@@ -13,6 +13,7 @@ from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.presets import load_preset, parameters_of
+from dlgmd_cli.plots.traces import plot
 
 CAMERA, SHAPE, SPEED_M_S, AGE_S = Camera(), (135, 240), 2.0, 0.1
 LEVEL = Motion((0.0, 0.0), SPEED_M_S, 0.0, 0.0, 0.0)
@@ -225,3 +226,19 @@ def test_a_table_with_the_motion_makes_the_rule_the_default(tmp_path):
     np.testing.assert_array_equal(kept.corridor, result.corridor)
     path.write_text("frame,right_deg,up_deg\n0,0,0\n19,0,0\n")
     assert run(np.stack(frames), heading=path, fps=30).params.alarm == "expansion"
+
+
+def test_figures_and_pages_show_what_the_rule_compares(tmp_path):
+    path = tmp_path / "heading.csv"
+    path.write_text(
+        "frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n"
+        "0,0,0,2,0,0,0\n19,0,0,2,0,0,0\n"
+    )
+    frames = [
+        seen(LEVEL, [(WALL, (0, 0, 30), (25, 25)), (OBJECT, (0, 0, 3.5 - k / 15), (0.35, 0.35))])
+        for k in range(20)
+    ]
+    result = run(np.stack(frames), heading=path, fps=30)
+    assert result.rule.to_dict()["column"] == "signal"
+    names = [axes.get_ylabel() for axes in plot("mp", {"flight": result}).axes]
+    assert "In the way (1/s)" in names
