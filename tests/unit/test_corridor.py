@@ -85,8 +85,25 @@ def test_what_is_beside_the_way_does_not_count():
     assert approach(2.5, right_m=inside)[0] > 0.6
     assert approach(2.5, right_m=outside) == approach(2.5, right_m=-outside) == NOTHING
     # The way reaches less far down than up.
-    assert approach(2.5, down_m=-0.55)[0] > 0.6
-    assert approach(2.5, down_m=0.95) == NOTHING
+    assert approach(2.5, down_m=-0.6)[0] > 0.6
+    assert approach(2.5, down_m=0.6) == NOTHING
+
+
+@pytest.mark.parametrize(
+    ("attitude", "tilt_deg", "forward", "right"),
+    [
+        ((0, 0, 90), 0, (0, 1, 0), (-1, 0, 0)),  # yaw to the right: to the east
+        ((0, 90, 0), 0, (0, 0, -1), (0, 1, 0)),  # nose up
+        ((90, 0, 0), 0, (1, 0, 0), (0, 0, 1)),  # right side down
+        ((0, 0, 0), 90, (0, 0, -1), (0, 1, 0)),  # the camera looks up
+        ((90, 0, 0), 90, (0, 1, 0), (0, 0, 1)),  # up along the drone's own axes
+    ],
+)
+def test_the_axes_of_the_camera_by_north_east_and_down(attitude, tilt_deg, forward, right):
+    axes = Motion((0.0, 0.0), 1.0, *attitude).axes(tilt_deg)
+    np.testing.assert_allclose(axes[2], forward, atol=1e-12)
+    np.testing.assert_allclose(axes[0], right, atol=1e-12)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
 
 
 @pytest.mark.parametrize("turn", [(0, 0, 4), (0, 3, 0), (5, 0, 0), (2, -2, -3)])
@@ -114,6 +131,15 @@ def test_a_repeated_pattern_does_not_approach():
         for distance in (40.2, 40.0)
     ]
     assert fastest(*images, (LEVEL, LEVEL), CAMERA, AGE_S)[0] < 0.2
+
+
+def test_noise_does_not_approach():
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        images = [
+            np.uint8(cv2.GaussianBlur(rng.uniform(0, 255, SHAPE), (0, 0), 1.0)) for _ in range(2)
+        ]
+        assert fastest(*images, (LEVEL, LEVEL), CAMERA, AGE_S) == NOTHING
 
 
 def test_a_blank_image_does_not_say_that_nothing_is_in_the_way():
