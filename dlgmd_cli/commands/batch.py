@@ -17,6 +17,8 @@ def model_setups(
     threshold: float | None = None,
     speed_m_s: str | None = None,
     brake: str | None = None,
+    *,
+    physical: bool = False,
 ) -> "list[options.Setup]":
     """All models that the options name, each once."""
     from dlgmd_cli.tasks.call import DLGMD, at_threshold, choose, requiring_rules, with_rule
@@ -24,7 +26,7 @@ def model_setups(
     if set_names or configs:  # sets and files are D-LGMDs already, or a file names another model
         models = tuple(name for name in models if name != DLGMD)
     named = options.named_models(set_names, configs, models) or [None]
-    param = with_rule(options.overrides(pairs), alarm)
+    param = with_rule(options.overrides(pairs, physical=physical), alarm)
     setups = requiring_rules([choose(name, param) for name in named], param)
     return [at_threshold(setup, threshold, speed_m_s, brake) for setup in setups]
 
@@ -35,7 +37,8 @@ def model_setups(
 )
 @options.setup_options(
     model_setups,
-    *(options.param_option, options.alarm_option, options.threshold_option),
+    *(options.param_option, options.physical_option),
+    *(options.alarm_option, options.threshold_option),
     *(options.speed_option, options.brake_option),
 )
 @options.input_options(

@@ -47,13 +47,14 @@ def _setups(
     labels: tuple[str, ...] = (),
     pairs: tuple[str, ...] = (),
     alarm: str | None = None,
+    physical: bool = False,
     **more: Any,
 ) -> "list[options.Setup]":
     """Every model with its variants; labels include the parameters of --param and --alarm."""
     from dlgmd_cli.tasks.call import with_keys, with_rule
 
-    param = with_rule(options.overrides(pairs), alarm)
-    setups = with_keys(model_setups(pairs=pairs, alarm=alarm, **more), param)
+    param = with_rule(options.overrides(pairs, physical=physical), alarm)
+    setups = with_keys(model_setups(pairs=pairs, alarm=alarm, physical=physical, **more), param)
     return with_variants(setups, variants, labels)
 
 
@@ -61,7 +62,8 @@ def _setups(
 @labels_argument
 @options.setup_options(
     _setups,
-    *(options.param_option, options.alarm_option, options.threshold_option),
+    *(options.param_option, options.physical_option),
+    *(options.alarm_option, options.threshold_option),
     *(variant_option, label_option),
 )
 @options.input_options(

@@ -263,6 +263,13 @@ param_option = click.option(
 )
 
 
+physical_option = click.option(
+    "--physical",
+    is_flag=True,
+    help="The D-LGMD in degrees and ms, by --fov and the frames' times: its px are 0.3 degrees and "
+    "its frames 1/30 s. Every frame is taken, at its size. The same as --param units=degrees.",
+)
+
 RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in keys.RULES.items())
 
 
@@ -291,9 +298,11 @@ threshold_option = click.option(
 )
 
 
-def overrides(pairs: Iterable[str] = ()) -> dict[str, Value]:
-    """The parameters that --param changes; a rule of one's own is imported."""
+def overrides(pairs: Iterable[str] = (), *, physical: bool = False) -> dict[str, Value]:
+    """The parameters that --param and --physical change; a rule of one's own is imported."""
     values = presets.parse_overrides(pairs)
+    if physical:
+        values["units"] = presets.DEGREES
     if ":" in str(rule := values.get("alarm")):
         from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
 
@@ -380,13 +389,19 @@ def named_model(
 
 
 def _model_and_param(
-    set_name: str | None, config: str | None, model: str | None, pairs: tuple[str, ...]
+    set_name: str | None,
+    config: str | None,
+    model: str | None,
+    pairs: tuple[str, ...],
+    *,
+    physical: bool,
 ) -> dict[str, Any]:
-    return {"model": named_model(set_name, config, model), "param": overrides(pairs)}
+    named = named_model(set_name, config, model)
+    return {"model": named, "param": overrides(pairs, physical=physical)}
 
 
 # The options that name one model, as the command's arguments `model` and `param`.
-model_options = option_group("", _model_and_param, *ONE_MODEL)
+model_options = option_group("", _model_and_param, *ONE_MODEL, physical_option)
 
 
 def named_models(

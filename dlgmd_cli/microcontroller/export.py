@@ -39,6 +39,7 @@ from dlgmd_cli.parameters.presets import (
     PRESETS,
     SMALL_WIDTH_PX,
     DlgmdParameters,
+    in_degrees,
 )
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Outcome, Shown
@@ -152,6 +153,8 @@ class Export(Outcome):
         if type(self.params) is not DlgmdParameters:
             why = f"there is no C version of the model {self.params.model}"
             raise ParameterError("", why, "Only dlgmd can be exported.")
+        if in_degrees(self.params):
+            raise ParameterError("", "there is no C version of a model in degrees")
         if self.params.alarm not in C_RULES:
             why = f"there is no C version of the rule {self.params.alarm}"
             raise ParameterError("", why, f"Choose {' or '.join(C_RULES)}.")

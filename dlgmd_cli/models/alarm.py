@@ -17,7 +17,14 @@ from dlgmd_cli.models.rules import Rule, too_slow
 from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.presets import DESCRIBING, Config, ModelName, config_of, parameters_of
+from dlgmd_cli.parameters.presets import (
+    DESCRIBING,
+    Config,
+    ModelName,
+    config_of,
+    in_degrees,
+    parameters_of,
+)
 from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.stream.clock import StreamClock
 from dlgmd_cli.stream.continuity import Continuity
@@ -100,16 +107,19 @@ class Alarm:
         Spec(str, choices=("arrival", "capture")).check(times, "times")
         config = config_of(model)
         self.params = parameters_of(config, {} if alarm is None else {"alarm": own_rule(alarm)})
-        self._width_px = (width_px or config.width_px) if resize else None
+        takes_all = in_degrees(self.params)
+        self._width_px = (width_px or config.width_px) if resize and not takes_all else None
         self._model_fps = model_fps or config.model_fps
         self._continuity = Continuity(skips_repeats=repeats == "skip")
         self._intake = Intake(
             self._continuity,
-            math.inf if all_frames else self._model_fps,
+            math.inf if all_frames or takes_all else self._model_fps,
             StreamClock(self._model_fps) if times == "arrival" else None,
         )
         self.model = create_model(self.params)
-        self._expansion = expansion or Expansion(camera=_camera(config, fov, camera_tilt))
+        camera = _camera(config, fov, camera_tilt)
+        self._expansion = expansion or Expansion(camera=camera)
+        self.model.look(camera)
         self._health = Health()
         self._session = Session([self.model], self._expansion, health=self._health)
         (self.rule,) = self._session.rules
@@ -174,6 +184,7 @@ class Alarm:
     def look(self, camera: Camera) -> None:
         """Measure the expansion with another camera from now on."""
         self._expansion.look(camera)
+        self.model.look(camera)
 
     def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
         """Ignore some cells of all reduced frames from now on, see `Model.ignore`.
@@ -303,7 +314,9 @@ class Alarm:
         came_fps = _N_INTERVALS / (times_s[-1] - times_s[0])
         new_fps = came_fps * (1.0 - repeats[1:].mean())
         unfit = ""
-        if new_fps > _OTHER_RATE * self._model_fps:
+        if in_degrees(self.params):
+            pass  # its latencies are in ms
+        elif new_fps > _OTHER_RATE * self._model_fps:
             unfit = f"{new_fps:.3g} a second, but {{}}; leave some out"
         elif came_fps < self._model_fps / _OTHER_RATE:
             unfit = f"{came_fps:.3g} a second, but {{}}; an approach looks faster than it is"

@@ -20,8 +20,15 @@ from dlgmd_cli.models.columns import ATTENUATION, column, columns_of, described
 from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.models.receptors import read_only
+from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.keys import PUBLISHED_MODELS
-from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
+from dlgmd_cli.parameters.presets import (
+    DlgmdParameters,
+    Parameters,
+    ParametersT,
+    in_degrees,
+    untrusted,
+)
 
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
@@ -160,6 +167,9 @@ class Model:
         """Forget all earlier frames; the next one may have another size."""
         self.receptors.reset()
 
+    def look(self, camera: Camera) -> None:
+        """Take the angles of the camera; a model in pixels does not need them."""
+
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells of all frames from now on, also after `reset`.
 
@@ -253,6 +263,8 @@ def create_model(params: Parameters) -> Model:
             raise untrusted(kind.model)
         raise ParameterError("", f"no model takes {kind.__name__}")
     if model_class.__module__.startswith("dlgmd_cli."):
+        if in_degrees(params):
+            model_class = import_module("dlgmd_cli.models.degrees").DegreesDLGMD
         model: Model = model_class(params)
         model.reset()  # a model may set its state only here
         return model

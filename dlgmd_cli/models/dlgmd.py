@@ -7,7 +7,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import ModelError
+from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.models import filters
 from dlgmd_cli.models.base import (
     FloatImage,
@@ -40,7 +40,7 @@ from dlgmd_cli.models.receptors import (
     rectified,
     unit_of,
 )
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.parameters.presets import PIXELS, DlgmdParameters
 
 # Both released codes divide by this constant for any frame size. For the authors' frames, n_cell m
 # is 192000 (800 x 600) or 207360 (960 x 540): the intended frame size is not known.
@@ -83,11 +83,15 @@ class DLGMD(Model):
     params_class = DlgmdParameters
     layer_units = ("luminance", "luminance", "luminance²")
     polarities: tuple[str, ...] = (BOTH,)
+    units = PIXELS
     params: DlgmdParameters
     _first_valid_frame = 0  # by the connections
 
     def __init__(self, params: DlgmdParameters | None = None) -> None:
         self.params = checked_params(params, self.params_class)
+        if self.params.units != self.units:
+            why = f"{type(self).__name__} has {self.units}, not units = {self.params.units}"
+            raise ParameterError("", why, "Write create_model(params): no other class has degrees.")
         self.receptors = Photoreceptors(0, self.polarities)
         self._prepared_for: tuple[tuple[int, ...], float] | None = None
 

@@ -1,5 +1,6 @@
 """The D-LGMD's connections: Gaussian strengths, radial latency, and one kernel for each delay."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,6 +123,47 @@ class Connections:
         by_delay = {delay: -kernel for delay, kernel in self.inhibition.items()}
         by_delay[0] = self.excitation + by_delay.get(0, 0.0)
         return by_delay
+
+
+def shares(n: int, scale: float) -> FloatKernel:
+    """The shares that n cells in a row, centred, have in the cells of a finer or coarser row.
+
+    Parameters
+    ----------
+    n : int
+        Number of cells, odd.
+    scale : float
+        Cells of the other row in one of these cells, above 0.
+
+    Returns
+    -------
+    ndarray, shape (m, n), float64
+        The length, in cells of the other row, of the overlap of each pair; m is odd.
+    """
+    reach = math.ceil((n * scale - 1.0) / 2.0 - 1e-9)
+    others = np.arange(-reach, reach + 1)[:, np.newaxis]
+    edges = scale * (np.arange(n + 1) - n / 2.0)
+    inside = np.minimum(others + 0.5, edges[1:]) - np.maximum(others - 0.5, edges[:-1])
+    return np.maximum(inside, 0.0)
+
+
+def resized(connections: Connections, scale: float) -> Connections:
+    """Connections that spread over `scale` times as many cells, with the same sums.
+
+    Each tap is a square of `scale` x `scale` cells with the tap's strength in all.
+    """
+    if scale == 1.0:
+        return connections
+    overlap = shares(len(connections.latency), scale)
+
+    def of(kernel: FloatKernel) -> FloatKernel:
+        spread: FloatKernel = overlap @ kernel @ overlap.T
+        return spread
+
+    sums = of(np.ones_like(connections.latency))
+    by_delay = {delay: of(kernel) / scale**2 for delay, kernel in connections.inhibition.items()}
+    excitation = of(connections.excitation) / scale**2
+    return Connections(of(connections.latency) / sums, excitation, by_delay)
 
 
 def delayed(kernel: FloatKernel, latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:

@@ -17,6 +17,7 @@ from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed
+from dlgmd_cli.parameters.presets import in_degrees
 
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
 ImagePoint = tuple[float, float]
@@ -34,6 +35,10 @@ _T_MP = 0.4
 # The rate of what stands ahead, and that of points in the way, times the true time to contact:
 # medians of rendered collisions.
 RATE_TIMES_TIME, IN_WAY_TIMES_TIME = 0.52, 0.85
+# Frames a second of the paper's camera; spikes may be earlier by this share of a frame.
+_PAPER_FPS, _EARLY = 30.0, 0.1
+# The lowest frame rate for a model in degrees, in frames/s.
+_DEGREES_FPS = 20.0
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -84,7 +89,7 @@ class Rule:
     quantity: ClassVar[str] = ""
     key: ClassVar[str] = ""
     at_most: ClassVar[bool] = False
-    scored: ClassVar[str] = "signal"
+    scored: str = "signal"
     counts: ClassVar[tuple[int, ...]] = (1,)
     follows_speed: ClassVar[bool] = False
 
@@ -266,10 +271,33 @@ class Spikes(Rule, name="spikes"):
         super().__init__(params, by_sequence=by_sequence)
         self.n_in_a_row = params.n_sp
         self._compares_level = by_sequence or params.rest is not None
+        # With degrees and ms, spikes last for the time of `n_sp` frames of the paper's camera.
+        self._lasting_s = 0.0
+        if in_degrees(params):
+            self.n_in_a_row, self._compares_level, self.scored = 1, True, "signal"
+            self._lasting_s = (params.n_sp - 1 - _EARLY) / _PAPER_FPS
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the levels of the last frames."""
+        self._levels: list[tuple[float, float]] = []
+
+    def value(self, row: Detection) -> float:
+        """The level; for a model in degrees, the least one in the time of `n_sp` frames."""
+        if self._lasting_s <= 0.0:
+            return row.level
+        self._levels.append((row.time_s, row.level))
+        while len(self._levels) > 1 and row.time_s - self._levels[1][0] >= self._lasting_s:
+            del self._levels[0]
+        is_known = row.time_s - self._levels[0][0] >= self._lasting_s
+        return min(level for _, level in self._levels) if is_known else math.nan
 
     @property
     def text(self) -> str:
         """The rule in words."""
+        if in_degrees(self.params):
+            lasting = f"for {1e3 * (self.params.n_sp - 1) / _PAPER_FPS:.0f} ms"
+            return f"spikes: {lasting}, at an MP of {self.threshold:g} or more"
         return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
 
     @classmethod
@@ -308,6 +336,8 @@ class Spikes(Rule, name="spikes"):
     def tuned(self, strength: float, n_in_a_row: int) -> Parameters:
         """The parameters with a new `n_sp` and a new κ (four digits), or T_MP if there is no κ."""
         params = self.params
+        if in_degrees(params):
+            raise ParameterError("", "a model in degrees cannot be tuned", "Choose units=pixels.")
         if params.kappa is None:
             spec = params.specs()["t_mp"]
             t_mp = min(max(self.value_at(strength), spec.low), spec.high)
@@ -414,6 +444,8 @@ def too_slow(rule: Rule, time_s: Series) -> str:
     # A median without NumPy's `median`, which would import masked arrays.
     intervals_s = np.sort(np.diff(time_s))
     rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
+    if in_degrees(rule.params) and rate_fps < _DEGREES_FPS - 0.1:
+        return f"{rate_fps:.3g} frames/s: a model in degrees misses approaches below 20 frames/s"
     if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
         return ""
     return (

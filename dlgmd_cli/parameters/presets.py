@@ -43,6 +43,8 @@ LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
 # The released formulations also have another lag and divisor of FFI, see `DLGMD`.
 FORMULATIONS = ("default", "released-2021", "released-2020", "equations")
+# The units of the D-LGMD: px and frames of the video, or of the paper's camera, 0.3° and 1/30 s.
+PIXELS, DEGREES = "pixels", "degrees"
 MAX_LATENCY_FRAMES = 64.0
 # The named configurations; the first is the default.
 PRESETS = ("flight", "flight-small")
@@ -106,6 +108,11 @@ class DlgmdParameters(Parameters):
         meaning="k times the sum or the mean of 4x4 cells, Eq. (9)",
         choices=GROUPINGS,
     )
+    units: str = key(
+        PIXELS,
+        meaning="px and frames are the video's, or 0.3 degrees and 1/30 s",
+        choices=(PIXELS, DEGREES),
+    )
 
     @property
     def is_released(self) -> bool:
@@ -119,6 +126,9 @@ class DlgmdParameters(Parameters):
 
     def _check_together(self) -> None:
         """Refuse a latency that is negative, or longer than `MAX_LATENCY_FRAMES`, anywhere."""
+        if self.units == DEGREES and self.is_released:
+            why = f"the code of {self.formulation} counts pixels, not degrees"
+            raise ParameterError("", why, "Choose formulation=default, or units=pixels.")
         centre = self.alpha + 1.0 / (self.beta + 1.0)
         if centre < 0.0:
             why = f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
@@ -236,6 +246,11 @@ PUBLISHED = {
     "algmd": "ALGMD",
     "emd-lplc2": "EmdLplc2",
 }
+
+
+def in_degrees(params: Parameters) -> bool:
+    """Whether a model's units are degrees and ms: it takes each frame as it comes, at its size."""
+    return params.to_dict().get("units") == DEGREES
 
 
 class _Models(Mapping[str, type[Parameters]]):

@@ -1,6 +1,7 @@
 """Shared by all tasks: requested models, progress, the open input and its messages."""
 
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,7 +23,7 @@ from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
 from dlgmd_cli.tasks.camera import has_motion
-from dlgmd_cli.video.base import ImageOptions
+from dlgmd_cli.video.base import MAX_SIDE, ImageOptions
 from dlgmd_cli.video.input_options import CHECKS, INPUT_ARGUMENTS, InputOptions
 from dlgmd_cli.video.opening import (
     ONLY_FOR,
@@ -81,8 +82,18 @@ class Setup:
             *video.source_wh,
             scale=chosen.scale,
             size_wh=chosen.size,
-            width_px=self.config.width_px,
+            width_px=self.width_px,
         )
+
+    @property
+    def width_px(self) -> int:
+        """The greatest width of the model's frames, in px; a model in degrees takes any."""
+        return MAX_SIDE if presets.in_degrees(self.params) else self.config.width_px
+
+    @property
+    def model_fps(self) -> float:
+        """The greatest frame rate of the model, in frames/s; a model in degrees takes any."""
+        return math.inf if presets.in_degrees(self.params) else self.config.model_fps
 
     def settings(self) -> Record:
         """Entries of the model in a record, without the options."""
@@ -129,11 +140,11 @@ class Request:
         """
         named = [setup.params.to_dict().get("formulation") for setup in self.setups]
         is_released = any(str(name).startswith("released") for name in (*formulations, *named))
-        model_fps = max(setup.config.model_fps for setup in self.setups)
+        model_fps = max(setup.model_fps for setup in self.setups)
         video = open_input(
             source,
             self.options,
-            width_px=self.setup.config.width_px,
+            width_px=self.setup.width_px,
             model_fps=None if is_released else model_fps,
         )
         with ExitStack() as stack:
@@ -187,6 +198,8 @@ def choose(
         if "formulation" not in kind.specs():
             raise ParameterError("", f"{argument('formulation')} works only with the D-LGMD model")
         values["formulation"] = formulation
+    if values.get("units") == presets.DEGREES and "units" not in kind.specs():
+        raise ParameterError("", "only the D-LGMD can be in degrees", "Choose --set or --model.")
     params = presets.parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
     if unused and not rule_of(params).uses_level:
@@ -399,7 +412,9 @@ def require_measured(setups: Iterable[Setup], options: Mapping[str, Any]) -> Non
 
     For tasks that measure the expansion for rules alone.
     """
-    if not any(rule_of(setup.params).uses_expansion for setup in setups):
+    setups = [*setups]
+    degrees = any(presets.in_degrees(setup.params) for setup in setups)
+    if not degrees and not any(rule_of(setup.params).uses_expansion for setup in setups):
         of_camera = {name: options.get(name) for name in ("fov", "camera_tilt", "heading")}
         refuse(of_camera, "has no effect: no rule here uses the expansion")
 

@@ -36,7 +36,10 @@ def session_on(
     """
     sizes_wh = [setup.size_on(video, options) for setup in setups]
     models = [create_model(setup.params) for setup in setups]
+    picture_wh = video.info.width, video.info.height
+    seen_by = camera or camera_of(options, picture_wh, video.info.path)[0]
     for model, size_wh in zip(models, sizes_wh, strict=True):
+        model.look(seen_by)
         model.ignore(video.hidden(size_wh))
     if camera is None:
         return Session(models, sizes_wh=sizes_wh)

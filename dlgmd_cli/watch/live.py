@@ -15,6 +15,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
+from dlgmd_cli.parameters.presets import in_degrees
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
@@ -371,6 +372,8 @@ def _alarm(setup: Setup) -> Alarm:
 def _source(source: str, setup: Setup, reading: InputOptions, chosen: LiveOptions) -> LiveSource:
     """The source, not yet reading; raises ParameterError if there is none of this name."""
     size, name = chosen.input_size, without_password(source)
+    if in_degrees(setup.params) and reading.fps is None:
+        reading = replace(reading, fps="all")
     shots: Callable[[], Generator[Shot, None, None]]
     is_played = source == "-" or chosen.realtime
     live_source.check_source(source, is_realtime=chosen.realtime, has_size=size is not None)
@@ -392,7 +395,7 @@ def _source(source: str, setup: Setup, reading: InputOptions, chosen: LiveOption
         name,
         shots,
         reading,
-        width_px=setup.config.width_px,
+        width_px=setup.width_px,
         model_fps=setup.config.model_fps,
         tries_again=not is_played,
         must_open=live_source.is_camera(source),

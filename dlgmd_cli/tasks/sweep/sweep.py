@@ -39,7 +39,7 @@ from dlgmd_cli.parameters.facts import (
     flat,
     stating,
 )
-from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.parameters.presets import DEGREES, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.files import FIGURE_FORMATS
@@ -154,6 +154,8 @@ def sweep(
     call.require_measured(request.setups, options)
     params = request.setup.params
     grid = Grid.parse(x, y, type(params), param or {}, formulation)
+    if DEGREES in (params.to_dict().get("units"), *grid.values_of("units")):
+        raise ParameterError("", "a sweep works in px and frames", "Leave out units.")
     with ExitStack() as opened:
         clips: Sequence[Iterable[Frame]]
         if video is None:
