@@ -46,13 +46,13 @@ def _run(commands: str, folder: Path) -> str:
 
 
 def _save_picture(made: Path, path: Path) -> None:
-    """Save a picture in few colours, narrower until it is small."""
+    """Save a picture in 160 colours, narrower until it is small."""
     path.parent.mkdir(exist_ok=True)
     picture, width = Image.open(made).convert("RGB"), MAX_WIDTH_PX
     while True:
         picture.thumbnail((width, picture.height), Image.Resampling.LANCZOS)
         coded = io.BytesIO()
-        picture.quantize(96).save(coded, "PNG", optimize=True)
+        picture.quantize(160).save(coded, "PNG", optimize=True)
         if coded.tell() <= MAX_BYTES:
             return path.write_bytes(coded.getvalue())
         width = int(0.9 * width)

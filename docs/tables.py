@@ -5,6 +5,7 @@ from typing import Any
 
 import yaml
 
+from dlgmd_cli.models.columns import TABLES as PER_FRAME
 from dlgmd_cli.models.columns import columns_of
 from dlgmd_cli.models.detection import AlarmSpan
 from dlgmd_cli.parameters.keys import RULES
@@ -63,12 +64,18 @@ def files(record: str) -> str:
 
 
 def columns(of: str) -> str:
-    """The columns that the code declares, of a `run` or an `alarm`: unit, tables, meaning."""
-    if of == "alarm":
-        rows = [[f"`{one.name}`", one.unit, one.meaning] for one in columns_of(AlarmSpan)]
-        return table(["column", "unit", "meaning"], rows)
-    rows = [[f"`{c.name}`", c.unit, ", ".join(c.tables), c.meaning] for c in COLUMNS]
-    return table(["column", "unit", "in", "meaning"], rows)
+    """The columns that the code declares, of a `run` or an `alarm`: a list.
+
+    Beside the unit stand the files, unless a column of a run is in mp.csv alone.
+    """
+    lines = []
+    for one in columns_of(AlarmSpan) if of == "alarm" else COLUMNS:
+        files = "all files" if one.tables == PER_FRAME else ", ".join(one.tables)
+        is_plain = of == "alarm" or files == "mp.csv"
+        notes = [note for note in (one.unit, "" if is_plain else files) if note not in ("–", "")]
+        beside = f" ({', '.join(notes)})" if notes else ""
+        lines.append(f"- `{one.name}`{beside}: {one.meaning}")
+    return "\n".join(lines)
 
 
 def rules() -> str:

@@ -1,6 +1,6 @@
 /* The site's search, in place of Sphinx's, over the index that Sphinx builds.
    A page's words count by how rare they are, those of its headings most; not every word must occur.
-   Each page is found once, at its best heading. The changelog and the pages of Python come last. */
+   Each page is found once, at its best heading, or at its top if no heading has a word. The changelog and the pages of Python come last. */
 var Scorer = { objNameMatch: 6, objPartialMatch: 0, objPrio: {}, objPrioDefault: 0 };
 
 /* What readers write -> words of the pages. */
@@ -8,12 +8,13 @@ const SYNONYMS = {
   accuracy: "good measurements", accurate: "good measurements", bibtex: "cite", blind: "health",
   bug: "report",
   citation: "cite", commercial: "licence", copyright: "licence", crash: "collision", csv: "columns",
-  docker: "install", error: "troubleshooting", flir: "thermal", fov: "lens", framerate: "fps",
-  infrared: "thermal", jetson: "raspberry", license: "licence", mac: "macos", memory: "ram",
-  mit: "licence", osd: "display", own: "custom", pip: "install", precision: "measurements",
-  propeller: "mask", r: "matlab", recall: "announced", reference: "cite", rpi: "raspberry",
-  setup: "install", speed: "fast", tif: "tiff", tutorial: "start", vulnerability: "security",
-  webcam: "camera",
+  dark: "light", docker: "install", dodge: "side", error: "troubleshooting", fisheye: "lens", flir: "thermal",
+  fov: "lens", framerate: "fps", gopro: "lens", headless: "display", infrared: "thermal", jetson: "raspberry",
+  latency: "delay", learning: "training", license: "licence", log: "record", mac: "macos", memory: "ram",
+  mit: "licence", night: "light", osd: "display", own: "custom", pip: "install", precision: "measurements",
+  propeller: "mask", r: "matlab", recall: "announced", reference: "cite",
+  reproducible: "same", rpi: "raspberry", setup: "install", significance: "compare", speed: "fast",
+  statistical: "compare", tif: "tiff", tutorial: "start", vulnerability: "security", webcam: "camera",
 };
 /* Page -> weight of its score, else 1. */
 const WEIGHTS = [
@@ -50,7 +51,8 @@ Search._performSearch = (query) => {
       covered += same.some((word) => words.has(word));
     }
     score *= weightOf(index.docnames[page]) * (1 + covered / words.size);
-    if (score > (found.get(page)?.score ?? 0)) found.set(page, { page, anchor, title, score });
+    const place = covered ? { anchor, title } : { anchor: null, title: index.titles[page] };
+    if (score > (found.get(page)?.score ?? 0)) found.set(page, { page, ...place, score });
   }
   const results = [...found.values()].map(({ page, anchor, title, score }) => {
     const top = index.titles[page];

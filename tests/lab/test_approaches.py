@@ -57,19 +57,10 @@ def test_ratios_and_shares():
     true = [0.0, 0.0, 0.5, 0.5, 0.5, 1.0, 1.0, -1.0]
     measured = [-0.1, 0.1, 0.25, 0.5, 0.75, 0.9, np.nan, 5.0]
     cells = approaches._ratios(compared(true, measured, [1, 1, 1, 1, 0.3, 1, 0, 1]))
-    still, size, slow, fast, frames, valued, good = cells
-    assert still == "0.00 (-0.08 to 0.08)" and size == "0.10"
+    still, slow, fast, frames, good = cells
+    assert still == "0.00 (-0.08 to 0.08)"
     assert slow == "1.00 (0.60 to 1.40)" and fast.startswith("0.90 ")
-    assert (frames, valued, good) == ("5", "80", "60")
-
-
-def test_errors_by_fifths_of_quality(monkeypatch):
-    error = np.repeat([0.5, 0.4, 0.3, 0.2, 0.1], 2)
-    frames = compared(np.ones(10), 1 + error, np.arange(10) / 10)
-    monkeypatch.setattr(approaches, "of_group", lambda group: frames)
-    _, _, *rows = approaches.qualities().splitlines()
-    assert len(rows) == len(approaches.GROUPS)
-    assert rows[0] == "| chessboard | 0.50 | 0.40 | 0.30 | 0.20 | 0.10 |"
+    assert (frames, good) == ("5", "60")
 
 
 def test_figures_are_drawn(monkeypatch, tmp_path):

@@ -68,7 +68,7 @@ def test_a_column(changed):
     cells = [row["n_active"] for row in csv_rows("out/loom/mp.csv")]
     numbers = [float(cell) for cell in cells if cell]
     assert cells[0] == "" and 0 < max(numbers) < 240 * 136 and len({*numbers}) > 5
-    assert "| `n_active` | – | mp.csv | number of cells with S > 0 |" in python("-c", TOLD)
+    assert "- `n_active`: number of cells with S > 0" in python("-c", TOLD)
     stored = "import dlgmd_cli; print(max(dlgmd_cli.read_result('out/loom').n_active[9:]))"
     assert float(python("-c", stored)) == max(numbers)
 

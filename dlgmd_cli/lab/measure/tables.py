@@ -59,33 +59,24 @@ def footage() -> str:
     return table(head, rows)
 
 
-def _errors(labels: Path) -> str:
-    """The errors of the time to contact, by the true time."""
+def ttc_synthetic() -> str:
+    """Errors of the time to contact of a cube and a ball, by the true time."""
     head = ["true time, s", "with an estimate", "median error, s", "median ratio", "90 % ratio"]
     rows = []
-    for row in evaluated(labels, "flight")["ttc"]:
-        span = f"{float(row['left_from_s']):.1f}–{float(row['left_to_s']):.1f}"
-        error = f"{float(row['error_s']):+.2f}" if row["error_s"] else "–"
-        logs = (row["log_error"], row["log_error_p90"])
-        ratios = [f"{math.exp(float(log)):.2f}" if log else "–" for log in logs]
-        rows.append([span, number(row["estimated"]), error, *ratios])
-    return table(head, rows)
-
-
-def ttc_synthetic() -> str:
-    """Errors of the time to contact of a cube and a ball."""
     with tempfile.TemporaryDirectory() as folder:
         for scene in ("looming-cube", "looming-ball"):
             dlgmd_cli.synth(scene, folder)
         labels = Path(folder, "labels.csv")
         text = "video,collision_frame\nlooming-cube.mp4,74\nlooming-ball.mp4,74\n"
         labels.write_text(text, encoding="utf-8")
-        return _errors(labels)
-
-
-def ttc_real() -> str:
-    """Errors of the time to contact in real crashes at 10 frames/s."""
-    return _errors(reference("footage"))
+        scored = evaluated(labels, "flight")["ttc"]
+    for row in scored:
+        span = f"{float(row['left_from_s']):.1f}–{float(row['left_to_s']):.1f}"
+        error = f"{float(row['error_s']):+.2f}" if row["error_s"] else "–"
+        logs = (row["log_error"], row["log_error_p90"])
+        ratios = [f"{math.exp(float(log)):.2f}" if log else "–" for log in logs]
+        rows.append([span, number(row["estimated"]), error, *ratios])
+    return table(head, rows)
 
 
 def paper() -> str:
@@ -112,9 +103,7 @@ TABLES = {
     "footage": Measured(footage, 2),
     "approach": Measured(approaches.announced, 6),
     "approach-rate": Measured(approaches.rates, 3),
-    "approach-quality": Measured(approaches.qualities, 2),
     "unmeasured": Measured(unmeasured, 10),
     "ttc-synthetic": Measured(ttc_synthetic, 1),
-    "ttc-real": Measured(ttc_real, 1),
     "paper": Measured(paper, 180),
 }
