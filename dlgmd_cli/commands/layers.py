@@ -44,7 +44,7 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     "bar and alarms as a banner.",
 )
 @options.model_options
-@options.input_options("start", "end", "input_fps", "times")
+@options.input_options("start", "end", "input_fps", "times", "fov")
 @options.output_options
 def layers(
     input_path: str, frames: tuple[int, ...] | None, film: Path | None, **arguments: Any

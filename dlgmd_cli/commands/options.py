@@ -261,13 +261,8 @@ param_option = click.option(
     shell_complete=complete_key,
     help="Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them.",
 )
-
-
 physical_option = click.option(
-    "--physical",
-    is_flag=True,
-    help="The D-LGMD in degrees and ms, by --fov and the frames' times: its px are 0.3 degrees and "
-    "its frames 1/30 s. Every frame is taken, at its size. The same as --param units=degrees.",
+    "--physical", is_flag=True, help="The D-LGMD in degrees and ms; takes each frame as it is."
 )
 
 RULES_TEXT = "; ".join(f"{name}: {rule.words}" for name, rule in keys.RULES.items())
@@ -388,16 +383,8 @@ def named_model(
     return replace(file, kind=kind)
 
 
-def _model_and_param(
-    set_name: str | None,
-    config: str | None,
-    model: str | None,
-    pairs: tuple[str, ...],
-    *,
-    physical: bool,
-) -> dict[str, Any]:
-    named = named_model(set_name, config, model)
-    return {"model": named, "param": overrides(pairs, physical=physical)}
+def _model_and_param(*, pairs: tuple[str, ...], physical: bool, **names: Any) -> dict[str, Any]:
+    return {"model": named_model(**names), "param": overrides(pairs, physical=physical)}
 
 
 # The options that name one model, as the command's arguments `model` and `param`.
