@@ -297,7 +297,7 @@ def overrides(pairs: Iterable[str] = (), *, physical: bool = False) -> dict[str,
     """The parameters that --param and --physical change; a rule of one's own is imported."""
     values = presets.parse_overrides(pairs)
     if physical:
-        values["units"] = presets.DEGREES
+        values["units"] = keys.DEGREES
     if ":" in str(rule := values.get("alarm")):
         from dlgmd_cli.models.own_rules import own_rule  # imports NumPy, which is slow
 

@@ -34,12 +34,12 @@ from dlgmd_cli.models.windows import (
     outside,
 )
 from dlgmd_cli.parameters.facts import Json, Value
+from dlgmd_cli.parameters.keys import in_degrees
 from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
     PRESETS,
     SMALL_WIDTH_PX,
     DlgmdParameters,
-    in_degrees,
 )
 from dlgmd_cli.results import store
 from dlgmd_cli.results.outcome import Outcome, Shown

@@ -17,14 +17,8 @@ from dlgmd_cli.models.rules import Rule, too_slow
 from dlgmd_cli.models.session import EXPANSION, NEURON, Session
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera
 from dlgmd_cli.parameters.checks import Spec
-from dlgmd_cli.parameters.presets import (
-    DESCRIBING,
-    Config,
-    ModelName,
-    config_of,
-    in_degrees,
-    parameters_of,
-)
+from dlgmd_cli.parameters.keys import in_degrees
+from dlgmd_cli.parameters.presets import DESCRIBING, Config, ModelName, config_of, parameters_of
 from dlgmd_cli.reduction import Reducer, resized
 from dlgmd_cli.stream.clock import StreamClock
 from dlgmd_cli.stream.continuity import Continuity

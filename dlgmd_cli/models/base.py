@@ -21,14 +21,8 @@ from dlgmd_cli.models.receptors import Grey as Grey
 from dlgmd_cli.models.receptors import Photoreceptors as Photoreceptors
 from dlgmd_cli.models.receptors import read_only
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.parameters.keys import PUBLISHED_MODELS
-from dlgmd_cli.parameters.presets import (
-    DlgmdParameters,
-    Parameters,
-    ParametersT,
-    in_degrees,
-    untrusted,
-)
+from dlgmd_cli.parameters.keys import PUBLISHED_MODELS, in_degrees
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23

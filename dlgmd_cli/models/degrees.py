@@ -15,7 +15,8 @@ from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import Connections, resized, shares
 from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.parameters.presets import DEGREES, DlgmdParameters
+from dlgmd_cli.parameters.keys import DEGREES
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 # A pixel and a frame of the paper's camera: "1 px/frame is equivalent to 9 degrees/s in a 120
 # degrees, 30 frame rate camera", [Zhao2023] Fig. 11. Over its 400 px, the pixels are 0.3 degrees.

@@ -40,7 +40,8 @@ from dlgmd_cli.models.receptors import (
     rectified,
     unit_of,
 )
-from dlgmd_cli.parameters.presets import PIXELS, DlgmdParameters
+from dlgmd_cli.parameters.keys import PIXELS
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 # Both released codes divide by this constant for any frame size. For the authors' frames, n_cell m
 # is 192000 (800 x 600) or 207360 (960 x 540): the intended frame size is not known.

@@ -16,8 +16,7 @@ from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed
-from dlgmd_cli.parameters.presets import in_degrees
+from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed, in_degrees
 
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
 ImagePoint = tuple[float, float]

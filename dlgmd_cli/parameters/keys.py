@@ -27,6 +27,9 @@ _RESERVED = RECORD_KEYS.union(
 # The package of the models of the field, one module each.
 PUBLISHED_MODELS = "dlgmd_cli.models.published"
 
+# The units of the D-LGMD: px and frames of the video, or of the paper's camera, 0.3° and 1/30 s.
+PIXELS, DEGREES = "pixels", "degrees"
+
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 
 # The parameter classes of the custom models that this process has defined, by their names.
@@ -267,6 +270,11 @@ class Parameters:
     def to_dict(self) -> dict[str, Value]:
         """Key -> value, in the order of definition; the inverse of `from_mapping`."""
         return {name: getattr(self, name) for name in self.specs()}
+
+
+def in_degrees(params: Parameters) -> bool:
+    """Whether a model's units are degrees and ms: it takes each frame as it comes, at its size."""
+    return params.to_dict().get("units") == DEGREES
 
 
 @cache

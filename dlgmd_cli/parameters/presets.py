@@ -34,7 +34,7 @@ from dlgmd_cli.parameters.facts import (
     part_of,
     stating,
 )
-from dlgmd_cli.parameters.keys import KAPPA, common_key, key
+from dlgmd_cli.parameters.keys import DEGREES, KAPPA, PIXELS, common_key, key
 from dlgmd_cli.parameters.keys import Parameters as Parameters
 from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
@@ -43,8 +43,6 @@ LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
 GROUPINGS = ("sum", "mean")
 # The released formulations also have another lag and divisor of FFI, see `DLGMD`.
 FORMULATIONS = ("default", "released-2021", "released-2020", "equations")
-# The units of the D-LGMD: px and frames of the video, or of the paper's camera, 0.3° and 1/30 s.
-PIXELS, DEGREES = "pixels", "degrees"
 MAX_LATENCY_FRAMES = 64.0
 # The named configurations; the first is the default.
 PRESETS = ("flight", "flight-small")
@@ -246,11 +244,6 @@ PUBLISHED = {
     "algmd": "ALGMD",
     "emd-lplc2": "EmdLplc2",
 }
-
-
-def in_degrees(params: Parameters) -> bool:
-    """Whether a model's units are degrees and ms: it takes each frame as it comes, at its size."""
-    return params.to_dict().get("units") == DEGREES
 
 
 class _Models(Mapping[str, type[Parameters]]):

@@ -18,7 +18,15 @@ from dlgmd_cli.models.rules import Rule, rule_of
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.checks import in_argument, refuse
 from dlgmd_cli.parameters.facts import Record, Value, extended
-from dlgmd_cli.parameters.keys import CORRIDOR, EXPANSION, RULES, SPIKES, changed
+from dlgmd_cli.parameters.keys import (
+    CORRIDOR,
+    DEGREES,
+    EXPANSION,
+    RULES,
+    SPIKES,
+    changed,
+    in_degrees,
+)
 from dlgmd_cli.parameters.presets import Config, DlgmdParameters, Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.names import numbered
@@ -88,12 +96,12 @@ class Setup:
     @property
     def width_px(self) -> int:
         """The greatest width of the model's frames, in px; a model in degrees takes any."""
-        return MAX_SIDE if presets.in_degrees(self.params) else self.config.width_px
+        return MAX_SIDE if in_degrees(self.params) else self.config.width_px
 
     @property
     def model_fps(self) -> float:
         """The greatest frame rate of the model, in frames/s; a model in degrees takes any."""
-        return math.inf if presets.in_degrees(self.params) else self.config.model_fps
+        return math.inf if in_degrees(self.params) else self.config.model_fps
 
     def settings(self) -> Record:
         """Entries of the model in a record, without the options."""
@@ -198,7 +206,7 @@ def choose(
         if "formulation" not in kind.specs():
             raise ParameterError("", f"{argument('formulation')} works only with the D-LGMD model")
         values["formulation"] = formulation
-    if values.get("units") == presets.DEGREES and "units" not in kind.specs():
+    if values.get("units") == DEGREES and "units" not in kind.specs():
         raise ParameterError("", "only the D-LGMD can be in degrees", "Choose --set or --model.")
     params = presets.parameters_of(file, values)
     unused = [name for name in ("n_sp", "kappa") if name in values]
@@ -413,7 +421,7 @@ def require_measured(setups: Iterable[Setup], options: Mapping[str, Any]) -> Non
     For tasks that measure the expansion for rules alone.
     """
     setups = [*setups]
-    degrees = any(presets.in_degrees(setup.params) for setup in setups)
+    degrees = any(in_degrees(setup.params) for setup in setups)
     if not degrees and not any(rule_of(setup.params).uses_expansion for setup in setups):
         of_camera = {name: options.get(name) for name in ("fov", "camera_tilt", "heading")}
         refuse(of_camera, "has no effect: no rule here uses the expansion")

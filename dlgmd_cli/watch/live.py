@@ -15,7 +15,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
-from dlgmd_cli.parameters.presets import in_degrees
+from dlgmd_cli.parameters.keys import in_degrees
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source

@@ -39,7 +39,8 @@ from dlgmd_cli.parameters.facts import (
     flat,
     stating,
 )
-from dlgmd_cli.parameters.presets import DEGREES, Parameters
+from dlgmd_cli.parameters.keys import DEGREES
+from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import RowList, rows_of
 from dlgmd_cli.results.files import FIGURE_FORMATS
