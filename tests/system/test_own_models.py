@@ -112,7 +112,6 @@ def gone(own, monkeypatch):
     return remove
 
 
-@pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])
 def test_a_class_may_answer_with_its_layers_alone(own):
     frames = np.random.default_rng(6).integers(0, 256, (3, 12, 16), np.uint8)
     answers, fast = create_model(own.Answers().params), create_model(own.Fast().params)
@@ -124,6 +123,7 @@ def test_a_class_may_answer_with_its_layers_alone(own):
     assert found[2].layers.g.sum() == expected.mp
 
 
+@pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])
 def test_a_state_may_be_set_in_reset_alone(runs, clips, own, command, tmp_path, here):
     axes = ["--x", "n_sp=1,2", "--y", "t_mp=0.1:0.3:0.1"] if command == "sweep" else []
     film = ["--video", "film.mp4"] if command == "layers" else []
