@@ -26,6 +26,8 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
+# The layers P, S and G of a frame, each (H, W) float32, and further fields of `Response`.
+Answer = tuple[FloatImage, FloatImage, FloatImage, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,8 @@ class Response:
 class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
-    A custom model derives from this class, names its parameter class, and defines `step`.
-    Callers of a model call `reset` before the first frame, too.
+    A custom model derives from this class, names its parameter class, and defines `respond`, or
+    `step`. Callers of a model call `reset` before the first frame, too.
 
     Parameters
     ----------
@@ -126,7 +128,8 @@ class Model:
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
     receptors : Photoreceptors
-        The last `first_valid_frame` changes ``|L(t) - L(t-1)|``, if `step` gives frames to `take`.
+        The newest frames, and the last `first_valid_frame` changes ``|L(t) - L(t-1)|``. A `step` of
+        one's own gives it each frame to `take`.
     """
 
     params_class: ClassVar[type[Parameters]] = Parameters
@@ -184,7 +187,7 @@ class Model:
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Process the next frame.
+        """Process the next frame: unless a class has its own `step`, by `respond`.
 
         Parameters
         ----------
@@ -207,7 +210,23 @@ class Model:
             If the frame is not a float32 or uint8 image, or differs in size or type from the
             previous one.
         """
-        raise NotImplementedError("the class has no step()")
+        self.receptors.take(luminance)
+        if self.receptors.frame < self.first_valid_frame:
+            return Response(self.receptors.p_sum(0))
+        p, s, g, numbers = self.respond()
+        return Response.of(p, s, g, layers=layers, **numbers)
+
+    def respond(self) -> Answer:
+        """The answer to the newest frame of `receptors`, from `first_valid_frame` on.
+
+        Returns
+        -------
+        p, s, g : ndarray, shape (H, W), float32
+            The layers.
+        numbers : mapping of str to Any
+            The fields of `Response` that do not follow from the layers, such as `mp` and `more`.
+        """
+        raise NotImplementedError("the class has neither respond() nor step()")
 
 
 def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:

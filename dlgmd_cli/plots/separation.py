@@ -27,6 +27,8 @@ def scores(
 ) -> style.Figure:
     """The scores of each model by class, and their means, as a table of numbers and colours.
 
+    A row without any score is left out.
+
     Parameters
     ----------
     of_models : mapping of str to mapping of str to float
@@ -34,7 +36,9 @@ def scores(
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
-    titles = [*next(iter(of_models.values()))]
+    every = [*next(iter(of_models.values()))]
+    titles = [one for one in every if not all(np.isnan(own[one]) for own in of_models.values())]
+    n_classes = len([one for one in titles if one not in every[-_N_MEANS:]])
     values = np.array([[own[title] for own in of_models.values()] for title in titles])
     with style.house_style():
         figure = style.new_figure(_AROUND_IN + _ROW_IN * len(titles), width)
@@ -46,7 +50,7 @@ def scores(
             text = "–" if np.isnan(value) else f"{100 * value:.0f}"
             color = "white" if value > _DARK else "black"
             axes.text(column, row, text, ha="center", va="center", color=color, fontsize=size)
-        axes.axhline(len(titles) - _N_MEANS - 0.5, color="black", linewidth=0.8)
+        axes.axhline(n_classes - 0.5, color="black", linewidth=0.8)
         names = (title.removeprefix("basic test/") for title in titles)
         labels = [style.wrapped(name, _LONGEST_CLASS) for name in names]
         axes.set_yticks(range(len(titles)), labels, fontsize=style.points(6))

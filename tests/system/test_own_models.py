@@ -36,6 +36,15 @@ class Fast(dlgmd_cli.Model):
         active = p > self.params.floor
         return dlgmd_cli.Response(p.sum(), p[active].sum(), mp=active.sum())
 
+class Answers(dlgmd_cli.Model):
+    params_class = FastParameters
+    first_valid_frame = 2
+
+    def respond(self):
+        p = self.receptors.layer()
+        active = (p > self.params.floor).astype("float32")
+        return p, p * active, active, {"ffi": self.n_cells}
+
 class Variant(dlgmd_cli.DLGMD):
     pass
 
@@ -101,6 +110,17 @@ def gone(own, monkeypatch):
         monkeypatch.setitem(sys.modules, "mymodel", None)
 
     return remove
+
+
+def test_a_class_may_answer_with_its_layers_alone(own):
+    frames = np.random.default_rng(6).integers(0, 256, (3, 12, 16), np.uint8)
+    answers, fast = create_model(own.Answers().params), create_model(own.Fast().params)
+    found = [answers.step(frame, layers=True) for frame in frames]
+    expected = [fast.step(frame) for frame in frames][-1]
+    assert [one.is_valid for one in found] == [False, False, True] and found[1].p_sum > 0
+    assert found[2].mp == expected.mp and found[2].ffi == 12 * 16
+    assert found[2].s_sum == pytest.approx(expected.s_sum)
+    assert found[2].layers.g.sum() == expected.mp
 
 
 @pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])

@@ -167,6 +167,8 @@ def test_every_frame_gets_a_response_at_full_size(footage, caplog):
     stored = json.loads((footage.parent / "ev/responses.json").read_text())
     assert stored["set9"]["results"]["moving/a.avi"] == own.tolist()
     (axes,) = found.plot().axes
+    rows = [label.get_text() for label in axes.get_yticklabels()]
+    assert rows == [*(of for of in found.means()["set9"] if of not in ("synthetic", "real"))]
     cells = [text.get_text() for text in axes.texts]
     assert cells[:2] == [f"{100 * found.scores[one]['moving/a.avi']:.0f}" for one in found.scores]
     roc, *_ = found.plot("roc").axes

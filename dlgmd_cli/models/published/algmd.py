@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.base import Answer, FloatImage
 from dlgmd_cli.models.published import parts
 
 _SCALE = {"authors": 10.0, "benchmark": 1.0}
@@ -84,40 +84,34 @@ class ALGMD(dlgmd_cli.Model):
         side = 2 * max(2 * params.r_high - params.r_low + 1, 0) + 1
         self._around = np.ones((side, side), np.uint8)
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
         params, receptors = self.params, self.receptors
-        receptors.take(luminance)
         now = receptors.levels() / np.float32(255.0)
         if receptors.frame == 0:
-            self._last = self._inhibited_low = self._inhibited_high = np.zeros_like(now)
+            self._last = self._p = np.zeros_like(now)
             self._slowed = np.zeros(now.shape, np.bool_)
             self._v, self._u = params.c, 0.0
         p = np.abs(now - self._last)
-        low, high = p - self._inhibited_low, p - self._inhibited_high
+        low, high = (p - parts.convolved(self._p, kernel) for kernel in self._kernels)
         is_fast = high >= np.float32(params.t_high)
         s = high * is_fast
         is_near = cv2.dilate(is_fast.view(np.uint8), self._around).view(np.bool_)
         is_faster = is_near & self._slowed
         receptors.clear(is_fast)
         receptors.clear(is_faster)
-        self._integrate(float(np.count_nonzero(is_faster)) * np.count_nonzero(is_fast))
+        self._integrate(np.count_nonzero(is_faster) * np.count_nonzero(is_fast))
         if self._is_benchmark:
             low, high = np.abs(low), np.abs(high)
-        self._slowed = (low > np.float32(params.t_low)) & ~(high > np.float32(params.t_high))
-        self._last = now
-        self._inhibited_low, self._inhibited_high = (
-            parts.convolved(p, one) for one in self._kernels
-        )
+        self._slowed = (low > np.float32(params.t_low)) & (high <= np.float32(params.t_high))
+        self._last, self._p = now, p
         g = is_faster.astype(np.float32)
         if receptors.frame == 0:  # P is the frame itself, a change for the model only
             p = s = g
         mp = parts.sigmoid(max(self._v - params.c, 0.0) / params.scale)
-        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=mp, more={"v": self._v})
+        return p, s, g, {"mp": mp, "more": {"v": self._v}}
 
-    def _integrate(self, current: float) -> None:
+    def _integrate(self, current: int) -> None:
         """The potential and the recovery of the next frame."""
         params, v, u = self.params, self._v, self._u
         t = self.receptors.frame

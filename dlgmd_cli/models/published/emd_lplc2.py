@@ -2,10 +2,10 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 import dlgmd_cli
-from dlgmd_cli.models.base import Flags, FloatImage, Grey
+from dlgmd_cli.frame import Flags, FloatArray, FloatImage
+from dlgmd_cli.models.base import Answer
 from dlgmd_cli.models.published import parts
 
 # The four branches of a cell: _LONG cells outward from its centre, _WIDE across.
@@ -13,8 +13,6 @@ _LONG, _WIDE = 50, 40
 # x + _ROUNDING - _ROUNDING is x rounded to 2⁻³⁶. The running sums of such numbers are exact, so
 # that a branch without motion sums to 0.
 _ROUNDING = 1.5 * 2.0**16
-# ΣM of a branch at each cell, (H, W).
-Sums = npt.NDArray[np.float64]
 # Steps of the giant fibre between two frames.
 _N_STEPS = 20
 
@@ -29,13 +27,9 @@ class EmdLplc2Parameters(dlgmd_cli.Parameters):
     interval: float = dlgmd_cli.key(0.01, "Δ", "s", "interval of the frames", 1e-4, 10)
     tau_low: float = dlgmd_cli.key(0.05, "τ_L", "s", "time constant of the delay", 0, 100)
     tau_high: float = dlgmd_cli.key(0.25, "τ_H", "s", "time constant of the high-pass", 1e-4, 100)
-    t_off: float = dlgmd_cli.key(
-        0.05, "–", "luminance", "high-pass below which OFF is active", 0, 1
-    )
+    t_off: float = dlgmd_cli.key(0.05, "–", "luminance", "F below which OFF is active", 0, 1)
     t_branch: float = dlgmd_cli.key(1.5, "–", "–", "outward motion of an active branch", 0, 1e6)
-    t_inward: float = dlgmd_cli.key(
-        -2.0, "–", "–", "outward motion at which any branch silences the cell", -1e6, 1e6
-    )
+    t_inward: float = dlgmd_cli.key(-2.0, "–", "–", "B at which a branch silences", -1e6, 1e6)
     n_branches: int = dlgmd_cli.key(3, "–", "–", "active branches of an active cell", 1, 4)
     w: float = dlgmd_cli.key(250.0, "w", "–", "gain of the current", 0, 1e6)
     n_max: float = dlgmd_cli.key(2500.0, "–", "cells", "cells that scale the current", 1, 1e9)
@@ -79,59 +73,59 @@ class EmdLplc2(dlgmd_cli.Model):
     columns = ("n_active", "v")
     first_valid_frame = 0
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
-        params, receptors = self.params, self.receptors
-        receptors.take(luminance)
-        now = receptors.levels() / np.float32(255.0)
-        if receptors.frame == 0:
-            zero = np.zeros_like(now)
-            self._last, self._high, self._late = now, zero, [zero, zero]
-            self._n_active, self._v = 0, params.v_rest
-            more = {"n_active": 0, "v": params.v_rest}
-            return dlgmd_cli.Response.of(zero, zero, zero, layers=layers, mp=0.5, more=more)
-        share = params.tau_high / (params.tau_high + params.interval)
-        self._high = share * (now - self._last) + share * self._high
-        self._last = now
-        left, up = self._motion(self._high)
-        active = self._active(left, up)
-        receptors.clear(active)
-        v = self._fibre(int(np.count_nonzero(active)))
-        return dlgmd_cli.Response.of(
-            *(self._high, np.abs(left) + np.abs(up), active.astype(np.float32)),
-            layers=layers,
-            mp=parts.sigmoid(max(v - params.v_rest, 0.0)),
-            more={"n_active": self._n_active, "v": v},
-        )
-
-    def _motion(self, high: FloatImage) -> tuple[FloatImage, FloatImage]:
-        """M along both axes: leftward and upward motion are positive. The last cells have none."""
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        super().reset()
         params = self.params
-        new = params.interval / (params.tau_low + params.interval)
-        on, off = parts.positive(high), parts.positive(params.t_off - high)
-        for i, x in enumerate((on, off)):
-            self.receptors.clear(x)
-            self._late[i] = new * x + (1.0 - new) * self._late[i]
-        late_on, late_off = self._late
-        left, up, here = np.zeros_like(high), np.zeros_like(high), np.s_[:-1, :-1]
-        for motion, there in ((left, np.s_[:-1, 1:]), (up, np.s_[1:, :-1])):
-            motion[here] = (on[here] * late_on[there] + off[here] * late_off[there]) - (
-                late_on[here] * on[there] + late_off[here] * off[there]
-            )
-        return left, up
+        self._n_active, self._v = 0, params.v_rest
+        stays = params.tau_high / (params.tau_high + params.interval)
+        self._high_pass = parts.LowPass(stays, stays)
+        stays = params.tau_low / (params.tau_low + params.interval)
+        self._delays = [parts.LowPass(1.0 - stays, stays) for _ in ("on", "off")]
+
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
+        now = self.receptors.levels() / np.float32(255.0)
+        if self.receptors.frame == 0:
+            self._last, zero = now, np.zeros_like(now)
+            more = {"n_active": 0, "v": self._v}
+            return zero, zero, zero, {"mp": 0.5, "more": more}
+        high = self._high_pass(now - self._last)
+        self._last = now
+        left, up = self._motion(high)
+        active = self._active(left, up)
+        n_active = int(np.count_nonzero(active))
+        v = self._fibre(n_active)
+        mp = parts.sigmoid(max(v - self.params.v_rest, 0.0))
+        more = {"n_active": n_active, "v": v}
+        s = np.abs(left) + np.abs(up)
+        return high, s, active.astype(np.float32), {"mp": mp, "more": more}
+
+    def _motion(self, high: FloatImage) -> list[FloatImage]:
+        """M to the left and upward. The cells of the last row and column have none."""
+        on, off = parts.positive(high), parts.positive(self.params.t_off - high)
+        self.receptors.clear(on)
+        self.receptors.clear(off)
+        pathways = (on, self._delays[0](on)), (off, self._delays[1](off))
+        here, right, below = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1]
+        motions = []
+        for there in (right, below):
+            motion = sum(x[here] * late[there] for x, late in pathways)
+            motion -= sum(late[here] * x[there] for x, late in pathways)
+            motions.append(np.pad(motion, (0, 1)))
+        return motions
 
     def _active(self, left: FloatImage, up: FloatImage) -> Flags:
         """Whether each cell is active; those of the last row and column never are."""
         params = self.params
-        branches = [*_branches(left, axis=1), *_branches(up, axis=0)]
+        branches = [*_branches(left), *(np.ascontiguousarray(b.T) for b in _branches(up.T))]
         if params.formulation == "benchmark":
             branches = [-b for b in branches]
         active = np.sum([b > params.t_branch for b in branches], axis=0) >= params.n_branches
         for b in branches:
             active &= (b > params.t_inward) & (b != 0.0)
         active[-1], active[:, -1] = False, False
+        self.receptors.clear(active)
         return active
 
     def _fibre(self, n_active: int) -> float:
@@ -152,17 +146,11 @@ class EmdLplc2(dlgmd_cli.Model):
         return 20.0 if has_spike and not is_benchmark else self._v
 
 
-def _branches(motion: FloatImage, axis: int) -> tuple[Sums, Sums]:
-    """ΣM outward over the branch before and the branch after each cell along an axis."""
-    size, anchor, pad = (_LONG, _WIDE), (_LONG - 1, _WIDE // 2 - 1), (0, 0, 0, _LONG)
-    if axis == 0:
-        size, anchor, pad = size[::-1], anchor[::-1], (0, _LONG, 0, 0)
+def _branches(motion: FloatImage) -> tuple[FloatArray, FloatArray]:
+    """ΣM outward over the branch to the left and over that to the right of each cell."""
     rounded = np.add(motion, _ROUNDING, dtype=np.float64) - _ROUNDING
-    wide = cv2.copyMakeBorder(rounded, *pad, parts.ZERO)
-    sums = np.asarray(
-        cv2.boxFilter(wide, -1, size, anchor=anchor, normalize=False, borderType=parts.ZERO),
-        np.float64,
-    )
-    height, width = motion.shape
-    after = sums[:, _LONG:] if axis == 1 else sums[_LONG:]
-    return sums[:height, :width], -after
+    wide = cv2.copyMakeBorder(rounded, 0, 0, 0, _LONG, parts.ZERO)
+    size, anchor = (_LONG, _WIDE), (_LONG - 1, _WIDE // 2 - 1)
+    sums = np.empty(wide.shape)
+    cv2.boxFilter(wide, -1, size, sums, anchor, normalize=False, borderType=parts.ZERO)
+    return sums[:, :-_LONG], -sums[:, _LONG:]

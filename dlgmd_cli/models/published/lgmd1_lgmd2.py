@@ -1,16 +1,14 @@
 """The cascade of an LGMD1 and an LGMD2, Li et al. 2023."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.base import Answer, FloatImage
 from dlgmd_cli.models.published import parts
 
-# The weights of x(t), y(t-1) and y(t-2) in every low-pass y of x.
-_NOW, _LAST, _BEFORE = 0.2, 0.5, 0.3
+# The weights of x(t), D[x](t-1) and D[x](t-2).
+_LOW_PASS = 0.2, 0.5, 0.3
 # An LGMD2 inhibits ON with 0.4 of the weights. A float32, since these cascades amplify a last bit.
 _ON_KERNEL = np.float32(0.4) * parts.NEIGHBOURS
 _MEAN = np.full((3, 3), 1 / 9, np.float32)
@@ -35,15 +33,6 @@ class CascadeParameters(dlgmd_cli.Parameters):
     # The authors' V_th is not public. The benchmark's neuron rests at 0.5, too.
     t_mp: float = dlgmd_cli.key(0.9, "V_th", "–", "spiking threshold of MP, BiSTS", 0, 1)
     n_sp: int = parts.spikes_2019()
-
-
-@dataclass
-class Pathway:
-    """What the ON or the OFF pathway of an LGMD remembers; `kernel` spreads its inhibition."""
-
-    kernel: FloatImage
-    wave: FloatImage
-    late: tuple[FloatImage, FloatImage]  # D[E] of the last two frames
 
 
 class Lgmd1Lgmd2(dlgmd_cli.Model):
@@ -74,80 +63,55 @@ class Lgmd1Lgmd2(dlgmd_cli.Model):
     layer_units = ("grey levels", "grey levels", "–")
     columns = ("k",)
     first_valid_frame = 0
-    # How the first and the second LGMD inhibit ON; an LGMD2 does so with other weights.
-    on_kernels = parts.NEIGHBOURS, _ON_KERNEL
+    # Whether the first and the second LGMD are an LGMD2, whose ON inhibits with other weights.
+    are_lgmd2 = False, True
 
     def __init__(self, params: CascadeParameters | None = None) -> None:
         super().__init__(params)
-        self._is_benchmark = self.params.formulation == "benchmark"
-        self._border = cv2.BORDER_REFLECT_101 if self._is_benchmark else parts.ZERO
         row = np.exp(-0.5 * (np.arange(-3, 4, dtype=np.float32) / self.params.sigma) ** 2)
         row /= row.sum()
         self._blur = np.outer(row, row)
 
-    def _begin(self, levels: FloatImage) -> None:
-        """Start from rest."""
-        zero = np.zeros_like(levels)
-        self._levels, self._ffi = levels, (0.0, 0.0)
-        self._p = self._s = self._g = self._adapted = zero
-        self._first, self._second = (
-            [Pathway(kernel, zero, (zero, zero)) for kernel in (on_kernel, parts.NEIGHBOURS)]
-            for on_kernel in self.on_kernels
-        )
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        super().reset()
+        self._p = self._s = self._g = self._adapted = np.zeros((1, 1), np.float32)
+        self._ffi = parts.LowPass(*_LOW_PASS)
+        self._pathways = [  # of each LGMD, those that give ON and OFF, and their D[E]
+            [(parts.LowPass(1.0, self.params.persistence), parts.LowPass(*_LOW_PASS)) for _ in "+-"]
+            for _ in self.are_lgmd2
+        ]
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
-        params, receptors = self.params, self.receptors
-        receptors.take(luminance)
-        levels = receptors.levels()
-        if receptors.frame == 0:
-            self._begin(levels)
-        earlier = self._p if self._is_benchmark else self._levels
-        self._levels, self._p = levels, params.a * (self._p + levels - earlier)
-        x = parts.convolved(self._p, self._blur, self._border)
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
+        params, receptors, border = self.params, self.receptors, parts.ZERO
+        if params.formulation == "benchmark":
+            border = cv2.BORDER_REFLECT_101
+            self._p = params.a * (self._p + receptors.levels() - self._p)
+        else:
+            self._p = params.a * (self._p + receptors.level_change())
+        ffi = self._ffi(parts.summed(np.abs(self._p)) / self.n_cells)
+        w_off = max(ffi / params.t_ffi, params.base_off)
+        x = parts.convolved(self._p, self._blur, border)
         receptors.clear(x)
-        weights = self._weights()
-        first = self._layer_s(self._first, x, weights[0])
-        s = self._layer_s(self._second, first - self._s, weights[1])
+        first = self._layer_s(0, x, w_off)
+        s = self._layer_s(1, first - self._s, w_off)
         self._s = first
         k = self._adapt(s)
-        return dlgmd_cli.Response.of(
-            *(self._p, s, self._adapted),
-            layers=layers,
-            mp=parts.sigmoid(params.gain * k),
-            ffi=float(self._ffi[0]),
-            more={"k": k},
-        )
+        numbers = {"mp": parts.sigmoid(params.gain * k), "ffi": float(ffi), "more": {"k": k}}
+        return self._p, s, self._adapted, numbers
 
-    def _weights(self) -> list[tuple[float, float]]:
-        """The strength of inhibition of ON and OFF in the first and in the second LGMD."""
-        params, (last, before) = self.params, self._ffi
-        mean = parts.summed(np.abs(self._p)) / self.n_cells
-        self._ffi = _NOW * mean + _LAST * last + _BEFORE * before, last
-        off = max(self._ffi[0] / params.t_ffi, params.base_off)
-        on = max(2 * off, params.base_on)
-        return [(on if kernel is _ON_KERNEL else off, off) for kernel in self.on_kernels]
-
-    def _layer_s(
-        self, pathways: list[Pathway], change: FloatImage, weights: tuple[float, float]
-    ) -> FloatImage:
-        """The layer S of an LGMD from the change of its input."""
-        s = np.zeros_like(change)
-        for path, part, weight in zip(pathways, (change, -change), weights, strict=True):
-            wave = parts.positive(part)
-            wave += self.params.persistence * path.wave
-            e = parts.convolved(wave, parts.NEIGHBOURS)
+    def _layer_s(self, place: int, x: FloatImage, w_off: float) -> FloatImage:
+        """The layer S of the first LGMD (0) or of the second (1) from the change of its input."""
+        w_on, on_kernel = w_off, parts.NEIGHBOURS
+        if self.are_lgmd2[place]:
+            w_on, on_kernel = max(2 * w_off, self.params.base_on), _ON_KERNEL
+        s = np.zeros_like(x)
+        inputs = (x, w_on, on_kernel), (-x, w_off, parts.NEIGHBOURS)
+        for (part, w, kernel), (wave, delayed) in zip(inputs, self._pathways[place], strict=True):
+            e = parts.convolved(wave(parts.positive(part)), parts.NEIGHBOURS)
             self.receptors.clear(e)
-            last, before = path.late
-            late = _NOW * e
-            late += _LAST * last
-            late += _BEFORE * before
-            path.wave, path.late = wave, (late, last)
-            inhibition = parts.convolved(late, path.kernel)
-            inhibition *= weight
-            s += parts.positive(e - inhibition)
+            s += parts.positive(e - w * parts.convolved(delayed(e), kernel))
         return s
 
     def _adapt(self, s: FloatImage) -> float:

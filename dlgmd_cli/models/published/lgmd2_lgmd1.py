@@ -10,4 +10,4 @@ class Lgmd2Lgmd1(Lgmd1Lgmd2):
     0.4 w+ in the first layer S and w- in the second. The authors and the benchmark differ as there.
     """
 
-    on_kernels = Lgmd1Lgmd2.on_kernels[::-1]
+    are_lgmd2 = True, False

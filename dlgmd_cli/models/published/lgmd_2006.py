@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import Grey
+from dlgmd_cli.models.base import Answer
 from dlgmd_cli.models.published import parts
 
 
@@ -48,12 +48,9 @@ class LGMD2006(dlgmd_cli.Model):
     columns = ("k",)
     first_valid_frame = 0
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
         params, receptors = self.params, self.receptors
-        receptors.take(luminance)
         p = receptors.level_change()
         if receptors.frame == 0:
             self._p = [p, p]
@@ -61,12 +58,10 @@ class LGMD2006(dlgmd_cli.Model):
         p = parts.added(parts.added(p, params.p1, last), params.p2, before)
         self._p = [p, last]
         if receptors.frame < 2:  # no P(t-1) yet
-            return dlgmd_cli.Response.of(p, 0 * p, 0 * p, layers=layers, mp=0.5)
+            return p, 0 * p, 0 * p, {"mp": 0.5}
         s = parts.added(np.abs(p), -params.w_i, np.abs(parts.convolved(last, parts.NEIGHBOURS)))
         receptors.clear(s)
         g = parts.grouped(s, params.t_de / params.c_de, params.c_omega)
         ffi = cv2.norm(last, cv2.NORM_L1) / self.n_cells
         k = 0.0 if ffi >= params.t_ffi else cv2.norm(g, cv2.NORM_L1) / self.n_cells
-        return dlgmd_cli.Response.of(
-            p, s, g, layers=layers, mp=parts.sigmoid(k), ffi=ffi, more={"k": k}
-        )
+        return p, s, g, {"mp": parts.sigmoid(k), "ffi": ffi, "more": {"k": k}}

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.base import Answer, FloatImage
 from dlgmd_cli.models.published import parts
 
 # A cell minus the mean of the 8 cells around it.
@@ -58,16 +58,13 @@ class McLGMD(dlgmd_cli.Model):
         self._is_benchmark = self.params.formulation == "benchmark"
         self._border = parts.ZERO if self._is_benchmark else cv2.BORDER_REFLECT_101
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
         params, receptors = self.params, self.receptors
-        receptors.take(luminance)
         p = receptors.level_change()
         if receptors.frame == 0:
             self._on = self._off = p
-            return dlgmd_cli.Response.of(p, p, p, layers=layers, mp=0.5)
+            return p, p, p, {"mp": 0.5}
         self._on, on = self._pathway(parts.positive(p), self._on)
         self._off, off = self._pathway(parts.positive(-p), self._off)
         on, off = parts.positive(on), parts.positive(-off if self._is_benchmark else off)
@@ -77,9 +74,7 @@ class McLGMD(dlgmd_cli.Model):
         receptors.clear(s)
         g = parts.grouped(s, params.t_de / params.c_de, params.c_omega, self._border)
         k = cv2.sumElems(g)[0] / self.n_cells
-        return dlgmd_cli.Response.of(
-            p, s, g, layers=layers, mp=parts.sigmoid(params.gain * k), more={"k": k}
-        )
+        return p, s, g, {"mp": parts.sigmoid(params.gain * k), "more": {"k": k}}
 
     def _pathway(self, p: FloatImage, last: FloatImage) -> tuple[FloatImage, FloatImage]:
         """M(t) of a pathway from P and M(t-1), and S - C."""

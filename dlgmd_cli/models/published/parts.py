@@ -32,6 +32,22 @@ def spikes_2019() -> Any:
     return dlgmd_cli.key(5, "N_ts", "frames", meaning, 1, 1000)
 
 
+class LowPass:
+    """y(t) = now x(t) + last y(t-1) + before y(t-2) … of numbers or images x, from rest."""
+
+    def __init__(self, now: float, *of_earlier: float) -> None:
+        self._now, self._of_earlier = now, of_earlier
+        self._earlier: list[Any] = []
+
+    def __call__(self, x: Any) -> Any:
+        """y(t) from x(t); an image is newly allocated, and must not be changed."""
+        y = self._now * x
+        for weight, earlier in zip(self._of_earlier, self._earlier, strict=False):
+            y += weight * earlier
+        self._earlier = [y, *self._earlier][: len(self._of_earlier)]
+        return y
+
+
 def sigmoid(k: float) -> float:
     """1 / (1 + exp(-k)) in single precision, as in the public code: 1 from k = 17 on."""
     return float(np.float32(1.0 / (1.0 + math.exp(-k))))

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 import dlgmd_cli
-from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.base import Answer, FloatImage
 from dlgmd_cli.models.published import parts
 
 # Values that differ between the codes.
@@ -46,9 +46,13 @@ class PLGMD(dlgmd_cli.Model):
         k = mean |G B|;  MP = 1 / (1 + exp(-k))
 
     The two masks of E are drawn as one of p². This is the authors' code (fuqinbing/pLGMD): p1 =
-    p2 = 1 / (1 + exp(0)), t_s = 15 / 0.15, and P(t) is 0 before the third frame. The benchmark
-    (MingshuoXu/BiSTS, `pLGMD`) has p1 = 1 / (1 + e), p2 = 1 / (1 + e²) and t_s = 30, and P from the
-    second frame on. A run is repeated exactly by its seed; another seed is another run.
+    p2 = 1 / (1 + exp(0)), t_s = 15 / 0.15, and P(t) is 0 before the third frame. As p1 + p2 = 1,
+    two thirds of each change stay in P for good, and with them the response to what has moved: on
+    the benchmark's receding squares, MP goes to 1 and stays there.
+
+    The benchmark (MingshuoXu/BiSTS, `pLGMD`) has p1 = 1 / (1 + e), p2 = 1 / (1 + e²) and t_s = 30,
+    and P from the second frame on: its changes decay. A run is repeated exactly by its seed;
+    another seed is another run.
     """
 
     params_class = PLGMDParameters
@@ -61,12 +65,9 @@ class PLGMD(dlgmd_cli.Model):
         super().reset()
         self._random = np.random.Generator(np.random.SFC64(self.params.seed))
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
         params, receptors = self.params, self.receptors
-        receptors.take(luminance)
         p = receptors.level_change()
         if receptors.frame == 0:
             self._p = [p, p]
@@ -76,14 +77,14 @@ class PLGMD(dlgmd_cli.Model):
         p = parts.added(parts.added(p, params.p1, last), params.p2, before)
         self._p = [p, last]
         if receptors.frame < 2:  # no P(t-1) yet
-            return dlgmd_cli.Response.of(p, 0 * p, 0 * p, layers=layers, mp=0.5)
+            return p, 0 * p, 0 * p, {"mp": 0.5}
         s = p * self.mask(params.p**2, p.shape)
         inhibited = parts.added(s, -params.w_i, self._inhibition(last))
         cv2.copyTo(inhibited, self.mask(params.p, p.shape), s)
         receptors.clear(s)
         g = parts.grouped(s, params.t_s, params.c_omega) * self.mask(params.p, p.shape)
         k = cv2.norm(g, cv2.NORM_L1) / self.n_cells
-        return dlgmd_cli.Response.of(p, s, g, layers=layers, mp=parts.sigmoid(k), more={"k": k})
+        return p, s, g, {"mp": parts.sigmoid(k), "more": {"k": k}}
 
     def mask(self, p: float, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         """A new mask, 1 with probability p to 16 bits, else 0."""

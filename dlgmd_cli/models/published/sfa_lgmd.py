@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 import dlgmd_cli
-from dlgmd_cli.models.base import Grey
+from dlgmd_cli.models.base import Answer
 from dlgmd_cli.models.published import parts
 
 
@@ -70,17 +70,14 @@ class SfaLGMD(dlgmd_cli.Model):
         self._is_benchmark = params.formulation == "benchmark"
         self._ffi_share = interval / (interval + params.tau_ffi)
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> dlgmd_cli.Response:
-        """Process the next frame, see `Model.step`."""
+    def respond(self) -> Answer:
+        """The answer to the newest frame, see `Model.respond`."""
         params, receptors = self.params, self.receptors
-        receptors.take(luminance)
         p = receptors.level_change()
         if receptors.frame == 0:
             self._on = self._off = self._waiting = p
             self._ffi, self._u, self._u_change, self._mp = 0.0, 0.5, 0.0, 0.5
-            return dlgmd_cli.Response.of(p, p, p, layers=layers, mp=0.5)
+            return p, p, p, {"mp": 0.5}
         self._on = on = parts.added(parts.positive(p), params.persistence, self._on)
         self._off = off = parts.added(parts.positive(-p), params.persistence, self._off)
         # Both D at once, since they are linear: D[OFF] - w_1 D[ON].
@@ -97,9 +94,7 @@ class SfaLGMD(dlgmd_cli.Model):
         change = cv2.norm(p, cv2.NORM_L1) / self.n_cells
         self._ffi += self._ffi_share * (change - self._ffi)
         self._adapt(0.5 if self._ffi >= params.t_ffi else parts.sigmoid(k))
-        return dlgmd_cli.Response.of(
-            p, s, g, layers=layers, mp=self._mp, ffi=self._ffi, more={"k": k}
-        )
+        return p, s, g, {"mp": self._mp, "ffi": self._ffi, "more": {"k": k}}
 
     def _adapt(self, u: float) -> None:
         """MP of the next frame from U."""
