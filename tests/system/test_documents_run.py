@@ -4,7 +4,10 @@ import re
 import runpy
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import pytest
@@ -102,3 +105,14 @@ def test_a_loop_of_ones_own_brakes(reader, capsys):
     of_camera = capsys.readouterr().out.splitlines()
     assert len(of_camera) > 5 and of_camera[0].startswith("brake ahead")
     assert {line.partition(" ")[0] for line in of_camera} == {"brake", "blind:"}
+
+
+def test_the_schematic_is_drawn_for_light_and_dark(tmp_path):
+    subprocess.run([sys.executable, ROOT / "docs" / "schematic.py", tmp_path], check=True)
+    drawn = {path.name: ElementTree.parse(path).getroot() for path in tmp_path.iterdir()}
+    assert {*drawn} == {"model-light.svg", "model-dark.svg"}
+    for name, root in drawn.items():
+        kept = ElementTree.parse(ROOT / "docs" / "_static" / name).getroot()
+        assert root.get("viewBox") == kept.get("viewBox")
+        assert f"docs/_static/{name}" in text_of("README.md")
+        assert f"_static/{name}" in text_of("docs/model.md")

@@ -258,7 +258,7 @@ def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
         ("batch {} --threshold 0.4 --jobs 1", "expansion: expansion of 0.4/s or more"),
     ],
 )
-def test_a_threshold_is_that_of_the_rule_that_holds(runs, clips, tmp_path, line, rule):
+def test_a_threshold_is_that_of_the_rule_that_holds(runs, here, clips, tmp_path, line, rule):
     runs(*line.format(clips / "loom.avi").split())
     (record,) = tmp_path.rglob("run.yaml")
     assert read_result(record.parent).rule.text == rule

@@ -160,7 +160,7 @@ def test_a_wrong_call_is_answered_with_the_right_one(dlgmd, folder, monkeypatch,
         "run frames --config repeated.yaml",
     ],
 )
-def test_what_works(runs, folder, monkeypatch, tmp_path, line):
+def test_what_works(runs, folder, here, monkeypatch, tmp_path, line):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(folder))
     # Another input may have used the options of a record.
@@ -170,7 +170,7 @@ def test_what_works(runs, folder, monkeypatch, tmp_path, line):
     runs(*shlex.split(line.replace("repeated.yaml", str(recorded))), *out)
 
 
-def test_python_takes_what_the_command_line_takes(folder):
+def test_python_takes_what_the_command_line_takes(folder, here):
     video = str(folder / "flight.mp4")
     assert dlgmd_cli.load_set("flight").alarm == "expansion"
     assert dlgmd_cli.run(video, start="0:00.4").time_s[0] == pytest.approx(0.4)

@@ -94,7 +94,7 @@ def test_every_file_has_a_writer_that_exists():
         assert one.meaning and (not one.writer or callable(one.write))
 
 
-def test_a_batch_continues_until_every_file_is_there(tmp_path):
+def test_a_batch_continues_until_every_file_is_there(tmp_path, here):
     clip, out = write_video(tmp_path / "loom.avi", looming_frames()), tmp_path / "out"
     once = {"model": 9, "out": out, "formats": ("vtt", "svg"), "jobs": 1}
     dlgmd_cli.batch(clip, **once)
