@@ -152,7 +152,7 @@ def test_the_expansion_is_that_of_its_definition(fps):
         assert one.expansion_upright == pytest.approx(standing, abs=2e-3)
 
 
-@pytest.mark.parametrize("fps", [60, 30, 15, 10])
+@pytest.mark.parametrize("fps", [60, 10])
 def test_a_plane_has_its_true_rate_at_any_rate_of_frames(fps):
     """From 1.5 to 0.9 s before contact; the mean may lag by its time constant."""
     frames = noisy(approach(round(1.6 * fps) + 1, fps, 2.5, (240, 135)), 2.0)
@@ -187,7 +187,7 @@ def over_ground(n_frames, fps, *, down_deg, speed_m_s=2.0, height_m=1.5, focal=1
     return frames
 
 
-@pytest.mark.parametrize("down_deg", [15.0, 20.0, 25.0])
+@pytest.mark.parametrize("down_deg", [15.0, 25.0])
 def test_ground_grows_twice_as_fast_down_as_across_and_raises_no_alarm(down_deg):
     """As while a drone tilts to accelerate; a wall at the same rate raises one."""
     frames = over_ground(15, 30, down_deg=down_deg)
@@ -277,7 +277,7 @@ def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place(sway
             assert one.approach == 0.0 and compared(one) < 0.1
 
 
-@pytest.mark.parametrize("n_copies", [1, 3, 6])
+@pytest.mark.parametrize("n_copies", [1, 6])
 def test_a_stream_that_stalls_shows_no_faster_approach(n_copies):
     """The images of a stall are copies; the one after it has moved on by as much as was missed."""
     images = [*towards_a_still_camera(136, 240, 2.0, 60)][:24]

@@ -62,9 +62,9 @@ def test_the_probabilistic_models_mean_and_spread():
     """Of G, since the response of noise is 1; the stored numbers are of 20 seeds."""
     (frames,) = field("stimuli", "noise_64x48")
     mean, sd = field("answers", "noise_64x48/plgmd_k_mean", "noise_64x48/plgmd_k_sd")
-    runs = [responses("plgmd", frames, seed=seed, **BENCHMARK)[1] for seed in range(60)]
+    runs = [responses("plgmd", frames, seed=seed, **BENCHMARK)[1] for seed in range(30)]
     found, spread = np.mean(runs, axis=0)[2:], np.std(runs, axis=0, ddof=1)[2:]
-    errors = abs(found - mean[2:]) / np.hypot(spread / 60**0.5, sd[2:] / 20**0.5)
+    errors = abs(found - mean[2:]) / np.hypot(spread / 30**0.5, sd[2:] / 20**0.5)
     assert (errors < 3.0).mean() >= 0.9 and errors.max() < 5.0
     assert np.median(spread / sd[2:]) == pytest.approx(1.0, abs=0.25)
 

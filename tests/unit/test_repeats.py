@@ -109,7 +109,7 @@ def test_a_flash_leaves_no_frame_of_an_array_out():
 def test_an_alarm_answers_to_a_repeat_as_before():
     alarm, doubled = (Alarm(load_set(7, kappa=1e-3), repeats="skip") for _ in range(2))
     alarms = 0
-    for number, frame in enumerate(looming_frames(40, 96, 72)):
+    for number, frame in enumerate(looming_frames(40, 64, 48)):
         once, twice = alarm.step(frame), [doubled.step(frame) for _ in range(2)]
         # Before anything has changed, a frame like the one before is a still scene.
         assert number == 0 or twice[1].mp is twice[0].mp

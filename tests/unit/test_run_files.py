@@ -100,7 +100,7 @@ def test_a_batch_continues_until_every_file_is_there(tmp_path, here):
     dlgmd_cli.batch(clip, **once)
     expected = names_of(RUN, ("vtt", "svg"))
     assert {path.name for path in (out / "loom").iterdir()} == expected
-    for name in sorted(expected - {RUN}):
+    for name in ("mp.svg", "alarms.vtt"):
         (out / "loom" / name).unlink()
         dlgmd_cli.batch(clip, **once)
         assert (out / "loom" / name).exists(), name

@@ -346,9 +346,8 @@ NAMES = [
 def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
     monkeypatch.chdir(tmp_path)
-    for path in (name, tmp_path / name):
-        with open_video(path, decoder=decoder) as source:
-            assert len(list(source)) == N_FRAMES
+    with open_video(name, decoder=decoder) as source:
+        assert len(list(source)) == N_FRAMES
 
 
 FTYP = b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99)
@@ -563,7 +562,7 @@ def seen(kinds):
         ("m" + "f" * 30, "nothing can be seen: all frames are the same"),
     ],
 )
-@pytest.mark.parametrize("repeats", ["keep", "skip"])
+@pytest.mark.parametrize(("decoder", "repeats"), [("opencv", "skip"), ("pyav", "keep")])
 def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
