@@ -4,8 +4,10 @@ import pytest
 from field_answers import CASES, check_benchmark
 
 STIMULI = [
-    *("dark_looming", "light_receding", "dark_translating_vertical", "light_elongating_horizontal"),
-    *("chessboard_160x120", "texture_pan_131x97", "tof_A00_162x122", "cube_160x90"),
+    *("dark_looming", "light_receding", "dark_translating_vertical"),
+    *("light_translating_horizontal", "dark_elongating_vertical", "light_shortening_vertical"),
+    *("light_elongating_horizontal", "dark_shortening_horizontal", "chessboard_160x120"),
+    *("texture_pan_131x97", "noise_64x48", "tof_A00_162x122", "cube_160x90"),
 ]
 
 
