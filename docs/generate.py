@@ -31,7 +31,7 @@ MARKED = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 MAX_WIDTH_PX, MAX_BYTES = 960, 80_000
-_TIMEOUT_S = 120
+_TIMEOUT_S = 600
 
 
 def _run(commands: str, folder: Path) -> str:

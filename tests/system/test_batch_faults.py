@@ -119,7 +119,7 @@ def rows_of(out):
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory):
-    return Bench(tmp_path_factory.mktemp("long"), 4, 300)
+    return Bench(tmp_path_factory.mktemp("long"), 3, 150)
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ def test_late_arrivals_do_not_change_the_slope_of_the_least_delay():
 @pytest.mark.parametrize(("fps", "gap_s"), [(25, 0.008), (30, 0.0003), (60, 0.008)])
 def test_a_stream_in_bursts_from_its_first_frame_has_a_clock(fps, gap_s):
     """Its rate is known after a second, and said to be uncertain."""
-    ways = [in_bursts(300, fps, size, gap_s) for size in (2, 3, 4, 6, 8)]
+    ways = [in_bursts(300, fps, size, gap_s) for size in (2, 8)]
     for came in [*ways, at_beacons(300, fps, gap_s)]:
         clock, gaps, found = CaptureClock(), GapDetector(), []
         for time_s in came.tolist():
@@ -154,7 +154,7 @@ def test_a_slow_source_does_not_pause(fps):
 
 def test_jitter_that_looks_even_at_first_is_found_within_a_second():
     """The first ten intervals may be alike by chance; steps are then those of the line."""
-    for seed in range(12):
+    for seed in range(6):
         clock = CaptureClock()
         times = [clock.step(arrival_s) for arrival_s in in_jitter(150, 60, 0.032, seed)]
         assert clock.is_uneven

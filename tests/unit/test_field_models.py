@@ -21,11 +21,11 @@ def test_every_frame_is_the_benchmarks(model):
 
 
 def looming(n_frames=24, outward=True):
-    """A dark square on white that grows from the centre, or shrinks; (n, 160, 160) uint8."""
-    frames = np.full((n_frames, 160, 160), 255, np.uint8)
+    """A dark square on white that grows from the centre, or shrinks; (n, 120, 120) uint8."""
+    frames = np.full((n_frames, 120, 120), 255, np.uint8)
     for i, frame in enumerate(frames if outward else frames[::-1]):
         half = 8 + 2 * i
-        frame[80 - half : 80 + half, 80 - half : 80 + half] = 0
+        frame[60 - half : 60 + half, 60 - half : 60 + half] = 0
     return frames
 
 

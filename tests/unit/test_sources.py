@@ -106,7 +106,7 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
     ],
     ids=str,
 )
-@pytest.mark.parametrize("kind", SOURCES)
+@pytest.mark.parametrize("kind", ["opencv", "pyav", "pictures", "array"])
 def test_every_source_gives_the_part_that_is_asked_for(kind, tmp_path, options, expected):
     given, how = SOURCES[kind](tmp_path)
     with open_video(given, **how, **options) as source:
