@@ -56,8 +56,8 @@ def test_memory_does_not_grow(case):
     grown = []
     tracemalloc.start()
     try:
-        steps(model, frames * 10)
-        for _ in range(3):
+        steps(model, frames * 5)
+        for _ in range(2):
             gc.collect()
             before, _ = tracemalloc.get_traced_memory()
             for frame in frames * 30:

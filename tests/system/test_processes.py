@@ -7,6 +7,8 @@ import sys
 import pytest
 from disturbed import environment
 
+from dlgmd_cli.video.writer import best_codec
+
 
 def python(*words, **options):
     """What a process of Python says; `words` follow its name."""
@@ -101,3 +103,31 @@ assert not heavy, heavy
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as POSIX has it")
+def test_a_full_disk_is_noticed(tmp_path):
+    codecs = ["mpeg4", "h264"] if best_codec() == "h264" else ["mpeg4"]
+    script = f"""
+import resource
+from pathlib import Path
+import numpy as np
+from dlgmd_cli.errors import OutputError
+from dlgmd_cli.video.writer import video_writer
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+rng = np.random.default_rng(1)
+path = Path("x.mp4")
+for codec in {codecs!r}:
+    try:
+        with video_writer(path, (240, 320), 30.0, codec=codec, is_colour=True) as put:
+            for _ in range(10):
+                put(rng.integers(0, 255, (240, 320, 3), dtype=np.uint8))
+    except OutputError as error:
+        print("noticed", error, path.exists())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(codecs), done.stderr
+    assert all(line.startswith("noticed x.mp4: ") and line.endswith("False") for line in lines)

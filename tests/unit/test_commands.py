@@ -147,7 +147,7 @@ def test_sets_table(runs):
     assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.0028"]
 
 
-@pytest.mark.parametrize("name", ["1", "9", "flight", *(m for m in MODELS if m != "dlgmd")])
+@pytest.mark.parametrize("name", ["1", "9", "flight", "lgmd", "plgmd", "emd-lplc2"])
 def test_sets_show_is_a_config(dlgmd, runs, tmp_path, name):
     result = runs("sets", "show", name)
     assert name in dlgmd("sets").stdout

@@ -8,7 +8,6 @@ import pytest
 from field_answers import BENCHMARK, CASES, check_benchmark, field
 
 import dlgmd_cli
-from dlgmd_cli.commands import options
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import MODELS, PUBLISHED
@@ -127,14 +126,3 @@ def test_a_response_is_normalised_by_a_sequence_too():
     assert np.nanmin(result.level) == 0.0 and np.nanmax(result.level) == 1.0
     assert result.rule.peak_text(0.83) == "normalised MP up to 0.83"
     assert rule_of(result.params).peak_text(0.83) == "MP up to 0.83"
-
-
-def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
-    compared = dlgmd_cli.compare(frames, "all", fps=30)
-    labels = [*compared.results]
-    assert labels == ["set9" if name == "dlgmd" else name for name in MODELS]
-    assert compared.plot("mp").axes
-    named = options.named_models(("9", "3"), (), (*MODELS,))
-    assert [one.label for one in named] == ["set9", "set3", *labels[1:]]
