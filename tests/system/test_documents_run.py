@@ -29,12 +29,12 @@ FEWER = {
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """The samples at half their size, which the commands take as well."""
+    """The samples at a third of their size, which the commands take as well."""
     folder = tmp_path_factory.mktemp("small")
     for path in (ROOT / "sample_videos").glob("*.mp4"):
         rate, frames = read_video(path)
-        halves = [cv2.resize(frame, (240, 136), interpolation=cv2.INTER_AREA) for frame in frames]
-        write_video(folder / path.name, halves, rate, fourcc="mp4v")
+        smaller = [cv2.resize(frame, (160, 90), interpolation=cv2.INTER_AREA) for frame in frames]
+        write_video(folder / path.name, smaller, rate, fourcc="mp4v")
     return folder
 
 
