@@ -7,12 +7,14 @@ without a mark are not run.
 """
 
 import io
+import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import tables
@@ -29,7 +31,7 @@ MARKED = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 MAX_WIDTH_PX, MAX_BYTES = 960, 80_000
-_TIMEOUT_S = 120
+_TIMEOUT_S = 600
 
 
 def _run(commands: str, folder: Path) -> str:
@@ -96,15 +98,19 @@ def coarse(text: str) -> str:
 def main() -> None:
     """Rewrite or check all pages."""
     check, stale = sys.argv[1:] == ["--check"], []
-    for page in PAGES:
-        old = page.read_text(encoding="utf-8")
+
+    def renew(page: Path) -> str:
         # What is only drawn is not compared: the tests run its commands, Sphinx looks for pictures.
-        is_compared = not check or "<!-- printed -->" in old
-        new = renewed(page, tables_only=not is_compared, pictures=not check)
-        if check and coarse(old) != coarse(new):
-            stale.append(page.relative_to(ROOT).as_posix())
-        elif not check and old != new:
-            page.write_text(new, encoding="utf-8")
+        is_compared = not check or "<!-- printed -->" in page.read_text(encoding="utf-8")
+        return renewed(page, tables_only=not is_compared, pictures=not check)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # a page at a time each, in its own folder
+        for page, new in zip(PAGES, pool.map(renew, PAGES), strict=True):
+            old = page.read_text(encoding="utf-8")
+            if check and coarse(old) != coarse(new):
+                stale.append(page.relative_to(ROOT).as_posix())
+            elif not check and old != new:
+                page.write_text(new, encoding="utf-8")
     if stale:
         raise SystemExit(f"Stale: {', '.join(stale)}. Run: python docs/generate.py")
 

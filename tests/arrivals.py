@@ -8,9 +8,6 @@ import numpy as np
 
 from dlgmd_cli import Alarm
 
-# The times between the frames of a burst, of which the delays at random are up to four.
-GAPS_S = (0.0003, 0.002, 0.008)
-
 
 def stalled(fps, stall_s, n_frames=300, burst_s=0.001):
     """Times of capture, and of arrival over a link that stalls once a second and loses nothing."""

@@ -5,6 +5,7 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -118,7 +119,7 @@ def rows_of(out):
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory):
-    return Bench(tmp_path_factory.mktemp("long"), 4, 300)
+    return Bench(tmp_path_factory.mktemp("long"), 3, 150)
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +210,26 @@ def test_very_many_files_that_are_no_videos(tmp_path):
     for number in range(N_MANY):
         (tmp_path / f"in/{number}.mp4").touch()
     command = ["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--format=none"]
-    began = time.process_time()
     result = CliRunner().invoke(cli, command, prog_name="dlgmd")
-    assert result.exit_code == 1 and time.process_time() - began < 0.02 * N_MANY
-    assert len(rows_of(tmp_path / "out")) == N_MANY
+    assert result.exit_code == 1 and len(rows_of(tmp_path / "out")) == N_MANY
+
+
+CALLS = {
+    "batch": "dlgmd_cli.batch({clips!r}, out='o', jobs=2)",
+    "evaluate": "multiprocessing.set_start_method('forkserver', force=True)\n"
+    "dlgmd_cli.evaluate('labels.csv', jobs=2)",
+}
+
+
+@pytest.mark.parametrize("task", CALLS)
+def test_a_script_without_its_guard_is_told_so_in_one_line(clips, tmp_path, task):
+    paths = [str(clips / name) for name in ("loom.avi", "loom.mp4")]
+    lines = ["video,collision_frame", *(f"{path},10" for path in paths)]
+    (tmp_path / "labels.csv").write_text("\n".join(lines))
+    call = CALLS[task].format(clips=paths)
+    (tmp_path / "script.py").write_text(f"import multiprocessing, dlgmd_cli\n{call}\n")
+    words = [sys.executable, "script.py"]
+    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 1 and ended.stdout == ""
+    (line,) = ended.stderr.splitlines()
+    assert "script.py: the worker processes end" in line and "__name__" in line, line

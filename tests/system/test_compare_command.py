@@ -11,6 +11,8 @@ from conftest import csv_rows, looming_frames, write_video, yaml_of
 from matplotlib.text import Text
 
 import dlgmd_cli
+from dlgmd_cli.commands import options
+from dlgmd_cli.parameters.presets import MODELS
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.opencv_decoder import OpenCVDecoder
@@ -249,3 +251,14 @@ def test_several_sets_in_one_option(labels, dlgmd, clips):
     assert labels("--set", "3,6, flight", "--set", 9) == ["set3", "set6", "flight", "set9"]
     refused = dlgmd("compare", clips / "loom.avi", "--set", "3,lgmd")
     assert refused.exit_code == 2 and "Write --model lgmd" in refused.stderr
+
+
+def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
+    compared = dlgmd_cli.compare(frames, "all", fps=30)
+    labels = [*compared.results]
+    assert labels == ["set9" if name == "dlgmd" else name for name in MODELS]
+    assert compared.plot("mp").axes
+    named = options.named_models(("9", "3"), (), (*MODELS,))
+    assert [one.label for one in named] == ["set9", "set3", *labels[1:]]

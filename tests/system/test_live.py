@@ -638,9 +638,9 @@ def test_what_shows_nothing_has_done_so_since_before_it_is_told():
     source = played(PAN)
     with source:
         assert source.take(SOON_S) is not None
-        sight = SourceState(source)
+        sight, earliest_s = SourceState(source), time.monotonic() - BLIND_S
         assert sight.step(Detection(blind="black")) == "blind"
-        assert time.monotonic() - sight.since_s == pytest.approx(BLIND_S, abs=0.3)
+        assert earliest_s <= sight.since_s <= time.monotonic() - BLIND_S
 
 
 @pytest.mark.parametrize(
@@ -702,21 +702,20 @@ def test_a_silent_source_is_lost(caplog):
     assert "blind, no frame for" in lines[0] and "recovered" in lines[-1] and len(lines) == 2
 
 
-def test_a_source_without_a_sender_is_lost_within_a_second():
-    """As ``udp://``, whose opening blocks until something comes."""
+def test_a_source_without_a_sender_is_lost_before_anything_comes():
+    """As ``udp://``, whose opening blocks until then."""
     go_on = threading.Event()
 
     def shots():
         assert go_on.wait(SOON_S)
         yield Shot(PAN[0], None, time.monotonic())
 
-    source, began_s = source_of(shots), time.monotonic()
+    source = source_of(shots)
     watching = Watch(source, alarm_of(3), SourceState(source))
     with source:
         found = next(one for one in watching.answers() if one is not None)
-        passed_s = time.monotonic() - began_s
         go_on.set()
-    assert (found.event, found.reason) == ("blind", "lost") and passed_s < 1.5
+    assert (found.event, found.reason) == ("blind", "lost")
 
 
 def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):

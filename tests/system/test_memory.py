@@ -83,8 +83,8 @@ def printed(cwd, program, *arguments):
 @pytest.mark.parametrize(
     ("size_wh", "n_frames", "longer", "command"),
     [
-        # 950 more frames of 19 kB would be 18 MB, and four times that as single precision.
-        ((160, 120), 50, 20, ["run", "{}.avi", "--format=none"]),
+        # 650 more frames of 19 kB would be 12 MB, and four times that as single precision.
+        ((160, 120), 50, 14, ["run", "{}.avi", "--format=none"]),
         # A sweep maps a file of all frames, 4 MB, which counts.
         pytest.param(
             (64, 48),

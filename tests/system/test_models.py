@@ -17,6 +17,8 @@ from reference import clips, slow
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_model_contract import CASES, create, moving, steps
 
+import dlgmd_cli
+from dlgmd_cli import looming_fit, peak_before_contact
 from dlgmd_cli.models.kernels import gaussian
 from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters
 
@@ -54,8 +56,8 @@ def test_memory_does_not_grow(case):
     grown = []
     tracemalloc.start()
     try:
-        steps(model, frames * 10)
-        for _ in range(3):
+        steps(model, frames * 5)
+        for _ in range(2):
             gc.collect()
             before, _ = tracemalloc.get_traced_memory()
             for frame in frames * 30:
@@ -136,3 +138,15 @@ EMD |= {"delta": (0.0, 1.0), "f_active": (0.0, 0.5), "c": (0.0, 10.0)}
 def test_any_parameters_of_the_others(check, shape, ranges, data, seed):
     params = {key: data.draw(st.floats(*ends), label=key) for key, ends in ranges.items()}
     check(clips.drifting(*shape, 7, seed), assume, **params)
+
+
+def test_our_stimuli_have_peaks_that_grow_with_l_over_v():
+    """The image is full at the field of view, where the response ends: that is the angle."""
+    l_over_v_s, peaks_s = [0.02, 0.04, 0.06], []
+    scene = {"object_size": 0.5, "contrast": -1, "background": 1, "size": "240x240", "fps": 100}
+    for each in l_over_v_s:
+        clip = dlgmd_cli.synth("looming-cube", speed=0.25 / each, distance=4.77, fov=60, **scene)
+        result = dlgmd_cli.run(clip.frames, 9, fps=clip.fps, repeats="keep")
+        peaks_s.append(peak_before_contact(result, clip.truth["time_to_contact_s"][0]))
+    fit = looming_fit(l_over_v_s, peaks_s)
+    assert fit.r_squared > 0.95 and abs(fit.angle_deg - 60) < 12

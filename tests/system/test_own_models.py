@@ -6,6 +6,7 @@ import sys
 from dataclasses import FrozenInstanceError, dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from conftest import looming_frames, write_video
@@ -480,3 +481,23 @@ class Signed(dlgmd_cli.Model):
     assert set(result.mp_abs[~np.isnan(result.mp)]) == {0.0}
     levels = absolute(np.array([-np.finfo(float).max, -1e-5, 0.0, 1e-5, 1e300]), 1, 1e-5)
     assert levels.tolist() == [0.0, 0.0, 0.0, 0.5, 1.0]
+
+
+@pytest.mark.painted
+def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
+    (tmp_path / "later.py").write_text(
+        "import dlgmd_cli\n"
+        "class Later(dlgmd_cli.DLGMD):\n"
+        "    def latency(self):\n"
+        "        return 1.25 + super().latency()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    later = parameters.find_model("later:Later").model_class
+    ours, theirs = (kind().connections for kind in (dlgmd_cli.DLGMD, later))
+    np.testing.assert_allclose(theirs.latency, ours.latency + 1.25)
+    assert set(theirs.inhibition) == {1, 2} and not np.array_equal(
+        theirs.excitation, ours.excitation
+    )
+    runs("sets", "later:Later", "--plot", "later.png")
+    assert cv2.imread("later.png").min() < cv2.imread("later.png").max()
+    sys.modules.pop("later")

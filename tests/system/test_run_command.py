@@ -3,15 +3,16 @@
 import hashlib
 import json
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
+from conftest import FPS, N_FRAMES, csv_rows, looming_frames, result_of_level, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import DLGMD, load_set
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import MissingExtraError, SourceError
 from dlgmd_cli.models.detection import AlarmSpan
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.results import csv
@@ -261,3 +262,15 @@ def test_an_image_at_fault_loses_no_earlier_row(tmp_path):
         assert (kept.complete, kept.interrupted, len(kept)) == (False, False, 12)
     assert "an array has no times" in whole[0].warnings[0]
     assert repr(whole[0]).endswith(", 1 warning>")
+
+
+def test_to_dataframe_needs_pandas(monkeypatch):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    result = result_of_level([0.1, 0.5, 0.5])
+    table = result.to_dataframe()
+    assert isinstance(table, pandas.DataFrame)
+    assert table["alarm"].tolist() == [False, False, True]
+    assert {*table.columns} == csv.KNOWN
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[pandas\]'"):
+        result.to_dataframe()

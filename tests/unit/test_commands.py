@@ -1,7 +1,6 @@
 """The command as a whole, and its small commands."""
 
 import importlib
-import os
 import re
 import shlex
 import subprocess
@@ -9,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from disturbed import environment
 
 from dlgmd_cli import __version__, read_result
 from dlgmd_cli.commands.app import GROUPS, cli
@@ -141,26 +139,6 @@ def test_without_the_laboratory_the_tool_lacks_one_command(dlgmd, monkeypatch):
     )
 
 
-def test_a_closed_stdout_is_no_traceback():
-    command = f'"{sys.executable}" -m dlgmd_cli sets | head -1'
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.skipif(not os.path.exists("/proc/self/fd"), reason="no /proc here")
-def test_closed_streams_are_not_taken_by_files():
-    program = (
-        "import os, sys\n"
-        "from dlgmd_cli.commands import app\n"
-        "app.cli = lambda **_: None\n"
-        "app.main()\n"
-        "names = [os.readlink(f'/proc/self/fd/{fd}') for fd in range(3)]\n"
-        "sys.exit(names != ['/dev/null'] * 3)\n"
-    )
-    command = f"'{sys.executable}' -c \"{program}\" <&- >&- 2>&-"
-    assert subprocess.run(["sh", "-c", command]).returncode == 0
-
-
 def test_sets_table(runs):
     lines = runs("sets").stdout.splitlines()
     assert max(len(line) for line in lines if not line.startswith("Keys")) <= 80
@@ -169,7 +147,7 @@ def test_sets_table(runs):
     assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.0028"]
 
 
-@pytest.mark.parametrize("name", [*"123456789", "flight", *(m for m in MODELS if m != "dlgmd")])
+@pytest.mark.parametrize("name", ["1", "9", "flight", "lgmd", "plgmd", "emd-lplc2"])
 def test_sets_show_is_a_config(dlgmd, runs, tmp_path, name):
     result = runs("sets", "show", name)
     assert name in dlgmd("sets").stdout
@@ -182,23 +160,6 @@ def test_sets_show_is_a_config(dlgmd, runs, tmp_path, name):
     assert parameters_of(shown) == parameters_of(preset)
     model, width_px = ("dlgmd", 240) if name == "flight" else ("dlgmd", 480)
     assert (shown.model, shown.width_px, shown.model_fps) == (model, width_px, 30.0)
-
-
-@pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])
-def test_an_encoding_without_greek_is_no_error(arguments):
-    environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
-    done = python("-m", "dlgmd_cli", *arguments, env=environment, encoding="cp1252")
-    assert done.returncode == 0 and done.stderr == ""
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-@pytest.mark.parametrize("word", ["sets", "--help", "--version"])
-def test_a_full_stdout_is_one_line(word):
-    with open("/dev/full", "w") as full:
-        streams = {"capture_output": False, "stdout": full, "stderr": subprocess.PIPE}
-        done = python("-m", "dlgmd_cli", word, **streams)
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert "the output cannot be written" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -221,22 +182,6 @@ def test_what_runs_short_while_modules_are_loaded(dlgmd, monkeypatch, error, wor
     assert result.stderr.count("\n") == 1
 
 
-def test_an_interrupt_before_signals_are_answered_is_quiet():
-    program = """
-import sys
-class Interrupting:
-    def find_spec(self, name, *_):
-        if name == "dlgmd_cli.machine.cancel":
-            raise KeyboardInterrupt
-sys.meta_path.insert(0, Interrupting())
-from dlgmd_cli.__main__ import main
-assert not {"logging", "typing", "signal", "dlgmd_cli.errors"} & set(sys.modules)
-main()
-"""
-    done = python("-S", "-c", program)
-    assert (done.returncode, done.stderr) == (130, "")
-
-
 def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
     for name in ("plot", "view"):
         (opts,) = (p.opts for p in cli.get_command(None, name).params if "--collisions" in p.opts)
@@ -252,36 +197,11 @@ def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
         ("run {} --alarm ttc --threshold 0.9", "ttc: time to contact of 0.9 s or less"),
         ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at an MP of 0.6 or more"),
         ("run {} --speed-m-s 3", "expansion: expansion of 0.554054/s or more"),
-        ("run {} --speed-m-s 3 --brake tilt", "expansion: expansion of 0.582282/s or more"),
         ("batch {} --speed-m-s 3 --brake 1s --jobs 1", "expansion: expansion of 0.4/s or more"),
         ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),
-        ("batch {} --threshold 0.4 --jobs 1", "expansion: expansion of 0.4/s or more"),
     ],
 )
-def test_a_threshold_is_that_of_the_rule_that_holds(runs, clips, tmp_path, line, rule):
+def test_a_threshold_is_that_of_the_rule_that_holds(runs, here, clips, tmp_path, line, rule):
     runs(*line.format(clips / "loom.avi").split())
     (record,) = tmp_path.rglob("run.yaml")
     assert read_result(record.parent).rule.text == rule
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
-def test_a_pipe_is_no_log(tmp_path):
-    os.mkfifo(tmp_path / "log")
-    words = ["-m", "dlgmd_cli", "sets", "show", "9", "--log", "log"]
-    done = python(*words, cwd=tmp_path, env=environment(), timeout=60)  # it waits for no reader
-    assert done.returncode == 1 and done.stderr == "Error: --log: log: is a pipe, not a file.\n"
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps the working folder")
-def test_a_deleted_working_folder(tmp_path):
-    program = """
-import os
-os.mkdir("gone"); os.chdir("gone"); os.rmdir("../gone")
-from dlgmd_cli.__main__ import main
-main()
-"""
-    for words in (["run", "x.mp4"], ["view", str(tmp_path)], ["sets"]):
-        done = python("-c", program, *words, cwd=tmp_path, env=environment())
-        assert done.returncode == 2
-        assert done.stderr.startswith("Error: the working folder is gone (")
-        assert done.stderr.count("\n") == 1

@@ -109,10 +109,10 @@ PARAMS = [
 ]
 
 
-@pytest.mark.parametrize("params", PARAMS, ids=lambda one: f"{one.model}-{one.kappa}")
-@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
-def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
-    frames = FRAMES if dtype == np.float32 else [np.uint8(frame * 255) for frame in FRAMES]
+@pytest.mark.parametrize("number", range(len(PARAMS)))
+def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(number):
+    params = PARAMS[number]
+    frames = FRAMES if number % 2 else [np.uint8(frame * 255) for frame in FRAMES]
     model, alarm = create_model(params), Alarm(params, repeats="keep")
     responses = [model.step(frame) for frame in frames]
     mp = np.array([one.mp for one in responses])
@@ -146,7 +146,7 @@ def test_a_camera_s_pictures_are_reduced_as_a_video_s():
     rng = np.random.default_rng(4)
     frames = [
         cv2.cvtColor(cv2.resize(frame, (1000, 400)), cv2.COLOR_GRAY2BGR)
-        for frame in looming_frames(12)
+        for frame in looming_frames(5)
     ]
     for frame in frames:
         frame[..., 2] = cv2.add(frame[..., 2], rng.integers(0, 20, (400, 1000), np.uint8))
@@ -184,9 +184,9 @@ def test_an_alarm_takes_a_file_of_parameters(tmp_path):
 @pytest.mark.parametrize("fps", [50, 120])
 def test_frames_that_come_too_often_are_left_out_as_a_run_does(fps):
     """Even where their times jitter by a quarter of a frame."""
-    rng, every = np.random.default_rng(1), math.ceil(fps / 33)
-    times_s = (np.arange(200) + rng.uniform(-0.2, 0.2, 200)) / fps
-    frames = [np.full((24, 32), 90 * (number % 2), np.uint8) for number in range(200)]
+    rng, every, n = np.random.default_rng(1), math.ceil(fps / 33), fps + 40
+    times_s = (np.arange(n) + rng.uniform(-0.2, 0.2, n)) / fps
+    frames = [np.full((24, 32), 90 * (number % 2), np.uint8) for number in range(n)]
     alarm = Alarm(load_set(3))
     for _ in range(2):
         found = [alarm.step(*one) for one in zip(frames, times_s.tolist(), strict=True)]
@@ -208,13 +208,13 @@ def test_all_frames_are_processed_if_asked_for():
     ("times_s", "repeats", "warning"),
     [
         (
-            np.arange(200) / 60,
+            np.arange(99) / 60,
             False,
             "frames are processed at 60 a second, but the parameters are made for",
         ),
-        (np.arange(200) / 60, True, ""),  # every image twice, which makes 30 new ones a second
-        (np.arange(99) / 12, False, "frames are processed at 12 a second"),
-        (np.arange(99) / 25, False, ""),
+        (np.arange(99) / 60, True, ""),  # every image twice, which makes 30 new ones a second
+        (np.arange(60) / 12, False, "frames are processed at 12 a second"),
+        (np.arange(50) / 25, False, ""),
         (np.r_[np.arange(25) / 12, 5 + np.arange(60) / 30], False, ""),  # too few, then a gap
     ],
 )

@@ -10,92 +10,14 @@ from reference import clips, slow
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
-SETS = sorted(slow.TABLE_2)
-CLIPS = {
-    "drifting 7x9": clips.drifting(7, 9, 6, seed=1),
-    "looming 8x10": clips.looming(8, 10, 6, seed=2),
-}
-SMALL = [(1, 1), (1, 7), (4, 1), (2, 2), (3, 5)]
-UNUSUAL = {
-    "smallest radius": {"r": 1},
-    "no inhibition": {"a": 0.0},
-    "strong inhibition": {"a": 4.0, "sigma_i": 0.8},
-    "wide": {"sigma_e": 30.0, "sigma_i": 60.0, "r": 3, "a": 0.2},
-    "narrow": {"sigma_e": 0.1, "sigma_i": 0.2, "r": 3},
-    "late": {"alpha": 3.0},
-    "late, no inhibition": {"alpha": 3.0, "a": 0.0},
-    "at once": {"alpha": -0.3, "beta": 0.9, "lam": 0.05},
-    "whole frames": {"alpha": 1.0, "beta": 1.0, "lam": 0.0},
-    "steep": {"lam": 3.0, "beta": 0.3},
-    "no threshold": {"ffi_gd": False},
-    "high threshold": {"t0": 20.0},
-    "other gain and scale": {"k": 3.5, "m": 0.05},
-    "small gain": {"k": 0.01},
-    "beyond 11 taps": {"r": 7, "lam": 0.2, "sigma_e": 0.6, "a": 0.3},
-}
+LOOMING = clips.looming(8, 10, 6, seed=2)
 
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-@pytest.mark.parametrize("number", SETS)
-@pytest.mark.parametrize("clip", CLIPS)
-def test_sets_agree_with_the_equations(clip, number, formulation):
-    check_dlgmd(CLIPS[clip], slow.table_2(number, formulation=formulation))
-
-
-@pytest.mark.parametrize(("latency", "saturate"), slow.COMBINATIONS)
-@pytest.mark.parametrize("number", [5, 9])
-@pytest.mark.parametrize("formulation", ["default", "released-2020"])
-def test_latency_and_saturation_of_ones_own(formulation, number, latency, saturate):
-    own = {"latency": latency, "saturate": saturate}
-    check_dlgmd(CLIPS["looming 8x10"], slow.table_2(number, formulation=formulation, **own))
-
-
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-@pytest.mark.parametrize("number", [1, 7, 9])
-@pytest.mark.parametrize(("height", "width"), SMALL)
-def test_frames_smaller_than_the_kernel(height, width, number, formulation):
-    check_dlgmd(
-        clips.drifting(height, width, 6, seed=3), slow.table_2(number, formulation=formulation)
-    )
-
-
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-@pytest.mark.parametrize("unusual", UNUSUAL)
-def test_unusual_parameters(unusual, formulation):
-    params = slow.table_2(5, formulation=formulation) | UNUSUAL[unusual]
-    check_dlgmd(clips.drifting(7, 8, 8, seed=4), params)
-
-
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-def test_without_a_threshold_g_still_saturates(formulation):
-    params = slow.table_2(2, formulation=formulation, ffi_gd=False, k=40.0)
-    answers = answers_of(slow.run, CLIPS["looming 8x10"], **params)
-    assert any(one.g is not None and one.g_raw.max() > 1.0 for one in answers)
-    check_dlgmd(CLIPS["looming 8x10"], params)
-
-
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-def test_the_clips_reach_every_branch(formulation):
-    # Agreement means little where nothing is thresholded, capped or saturated.
-    below = above = saturated = capped = uncapped = rectified = False
-    k = 16.0 if formulation == "released-2020" else 1.0
-    for frames in CLIPS.values():
-        for number in SETS:
-            for answer in answers_of(
-                slow.run, frames, **slow.table_2(number, formulation=formulation, k=k)
-            ):
-                if answer.g is None:
-                    continue
-                raw, t_de = answer.g_raw, answer.t_de
-                below |= bool(((raw > 0) & (raw < t_de)).any())
-                above |= bool(((raw >= t_de) & (raw < 1)).any())
-                saturated |= bool((raw > 1).any())
-                rectified |= bool((answer.s == 0).any() and (answer.s > 0).any())
-                capped |= answer.t_de >= 0.3
-                uncapped |= 0 < answer.t_de < 0.3
-    assert below and above and saturated and rectified and uncapped
-    # On frames this small the released divisor keeps T_de far from its cap.
-    assert capped or formulation.startswith("released")
+@pytest.mark.parametrize("number", [1, 5, 9])
+def test_sets_agree_with_the_equations(number, formulation):
+    """Other clips and parameters are in the slow tier."""
+    check_dlgmd(LOOMING, slow.table_2(number, formulation=formulation))
 
 
 def test_the_released_threshold_is_capped():

@@ -2,11 +2,8 @@
 
 import re
 import shlex
-import subprocess
-import sys
 from importlib import import_module
 from importlib.util import find_spec
-from xml.etree import ElementTree
 
 import click
 import pytest
@@ -217,13 +214,3 @@ def test_the_citation_is_that_of_the_readme():
 
 def test_the_script_for_a_cluster_is_python():
     compile(text_of("configs/cluster/slurm.py"), "slurm.py", "exec")
-
-
-def test_the_schematic_is_drawn_for_light_and_dark(tmp_path):
-    subprocess.run([sys.executable, ROOT / "docs" / "schematic.py", tmp_path], check=True)
-    drawn = {path.name: ElementTree.parse(path).getroot() for path in tmp_path.iterdir()}
-    assert {*drawn} == {"model-light.svg", "model-dark.svg"}
-    for name, root in drawn.items():
-        kept = ElementTree.parse(ROOT / "docs" / "_static" / name).getroot()
-        assert root.get("viewBox") == kept.get("viewBox")
-        assert f"docs/_static/{name}" in README and f"_static/{name}" in text_of("docs/model.md")

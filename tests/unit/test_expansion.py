@@ -152,7 +152,7 @@ def test_the_expansion_is_that_of_its_definition(fps):
         assert one.expansion_upright == pytest.approx(standing, abs=2e-3)
 
 
-@pytest.mark.parametrize("fps", [60, 30, 15, 10])
+@pytest.mark.parametrize("fps", [30, 10])
 def test_a_plane_has_its_true_rate_at_any_rate_of_frames(fps):
     """From 1.5 to 0.9 s before contact; the mean may lag by its time constant."""
     frames = noisy(approach(round(1.6 * fps) + 1, fps, 2.5, (240, 135)), 2.0)
@@ -187,7 +187,7 @@ def over_ground(n_frames, fps, *, down_deg, speed_m_s=2.0, height_m=1.5, focal=1
     return frames
 
 
-@pytest.mark.parametrize("down_deg", [15.0, 20.0, 25.0])
+@pytest.mark.parametrize("down_deg", [15.0, 25.0])
 def test_ground_grows_twice_as_fast_down_as_across_and_raises_no_alarm(down_deg):
     """As while a drone tilts to accelerate; a wall at the same rate raises one."""
     frames = over_ground(15, 30, down_deg=down_deg)
@@ -233,7 +233,7 @@ def test_what_cannot_be_measured_has_a_low_quality(name, frames):
 
 def test_quality_falls_with_noise_and_in_a_gap():
     clean = approach(20, 30, 1.5, SIZE_WH)
-    qualities = [at_rate(noisy(clean, sigma), 30).expansion_quality for sigma in (0, 3, 8, 20, 50)]
+    qualities = [at_rate(noisy(clean, sigma), 30).expansion_quality for sigma in (0, 8, 50)]
     assert qualities == sorted(qualities, reverse=True) and qualities[0] > 0.8 > qualities[-1] + 0.7
     # Half a second without texture: earlier rates are four time constants old.
     blind = measured([*clean, *[np.full_like(clean[0], 9)] * 15], [t / 30 for t in range(35)])
@@ -265,7 +265,7 @@ def test_levels_and_luminance_give_the_same_rate():
 @pytest.mark.parametrize("sway_px", [0.0, 2.0])
 def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place(sway_px):
     """Also if a hovering drone sways; what passes by, and the sway alone, raise no alarm."""
-    for rate, across, at in ((2.0, 0.0, 0.6), (2.0, 0.0, 0.2), (0.0, 90.0, 0.4), (0.0, 0.0, 0.6)):
+    for rate, across, at in ((2.0, 0.0, 0.2), (0.0, 90.0, 0.4), (0.0, 0.0, 0.6)):
         images = towards_a_still_camera(136, 240, rate, 30, across=across, at=at, sway_px=sway_px)
         *_, one = measured([*images][:14])
         if rate:
@@ -277,8 +277,7 @@ def test_what_approaches_a_camera_at_rest_has_a_time_to_contact_and_a_place(sway
             assert one.approach == 0.0 and compared(one) < 0.1
 
 
-@pytest.mark.parametrize("n_copies", [1, 3, 6])
-def test_a_stream_that_stalls_shows_no_faster_approach(n_copies):
+def test_a_stream_that_stalls_shows_no_faster_approach(n_copies=6):
     """The images of a stall are copies; the one after it has moved on by as much as was missed."""
     images = [*towards_a_still_camera(136, 240, 2.0, 60)][:24]
     smooth = [one.approach for one in measured(images, [t / 30 for t in range(24)])][1:]

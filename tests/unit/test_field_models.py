@@ -5,67 +5,26 @@ import pickle
 import cv2
 import numpy as np
 import pytest
-from reference_data import reference_dir
+from field_answers import BENCHMARK, CASES, check_benchmark, field
 
 import dlgmd_cli
-from dlgmd_cli.commands import options
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.parameters.presets import MODELS, PUBLISHED
 
-STIMULI = [
-    *("dark_looming", "light_receding", "dark_translating_vertical"),
-    *("light_translating_horizontal", "dark_elongating_vertical", "light_shortening_vertical"),
-    *("light_elongating_horizontal", "dark_shortening_horizontal", "chessboard_160x120"),
-    *("texture_pan_131x97", "noise_64x48", "tof_A00_162x122", "cube_160x90"),
-]
-# Model -> its name among the stored answers, the parameters with which it is the benchmark's, and
-# the column of what is squashed.
-BENCHMARK = {"formulation": "benchmark"}
-CASES = {
-    "lgmd-2006": ("basic", {}, "k"),
-    "mc-lgmd": ("mc", BENCHMARK, "k"),
-    "sfa-lgmd": ("sfa", BENCHMARK, "k"),
-    "lgmd1-lgmd2": ("lgmd1_lgmd2", BENCHMARK, "k"),
-    "lgmd2-lgmd1": ("lgmd2_lgmd1", BENCHMARK, "k"),
-    "algmd": ("algmd", BENCHMARK, "v"),
-    "emd-lplc2": ("emd_lplc2", BENCHMARK, "n_active"),
-}
-# The frames where a cell of a cascade passes T_sfa by the last bit of a convolution. On another
-# computer, the benchmark's own code differs from its stored answers in four frames.
-ROUNDED = {("lgmd1-lgmd2", "cube_160x90"): [9, 12], ("lgmd2-lgmd1", "texture_pan_131x97"): [28]}
-
-
-def field(name, *keys):
-    """Arrays of a file of the field's folder."""
-    path = reference_dir() / "field" / f"{name}.npz"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    with np.load(path) as arrays:
-        return [arrays[key] for key in keys]
-
 
 @pytest.mark.parametrize("model", CASES)
-@pytest.mark.parametrize("stimulus", STIMULI)
-def test_every_frame_is_the_benchmarks(model, stimulus):
-    key, param, column = CASES[model]
-    (frames,) = field("stimuli", stimulus)
-    answers = field("answers", f"{stimulus}/{key}", f"{stimulus}/{key}_k")
-    result = dlgmd_cli.run(frames, model, fps=30, param=param)
-    exact = np.ones(len(result.mp), bool)
-    exact[ROUNDED.get((model, stimulus), [])] = False
-    for values, answer in zip((result.mp, getattr(result, column)), answers, strict=True):
-        np.testing.assert_allclose(values[exact], answer[exact], rtol=1e-5, atol=1e-12)
-        np.testing.assert_allclose(values[~exact], answer[~exact], rtol=2e-3)
-    np.testing.assert_array_equal(result.level, result.mp)
+def test_every_frame_is_the_benchmarks(model):
+    """The other stimuli are in the slow tier."""
+    check_benchmark(model, "noise_64x48")
 
 
 def looming(n_frames=24, outward=True):
-    """A dark square on white that grows from the centre, or shrinks; (n, 160, 160) uint8."""
-    frames = np.full((n_frames, 160, 160), 255, np.uint8)
+    """A dark square on white that grows from the centre, or shrinks; (n, 120, 120) uint8."""
+    frames = np.full((n_frames, 120, 120), 255, np.uint8)
     for i, frame in enumerate(frames if outward else frames[::-1]):
         half = 8 + 2 * i
-        frame[80 - half : 80 + half, 80 - half : 80 + half] = 0
+        frame[60 - half : 60 + half, 60 - half : 60 + half] = 0
     return frames
 
 
@@ -102,9 +61,9 @@ def test_the_probabilistic_models_mean_and_spread():
     """Of G, since the response of noise is 1; the stored numbers are of 20 seeds."""
     (frames,) = field("stimuli", "noise_64x48")
     mean, sd = field("answers", "noise_64x48/plgmd_k_mean", "noise_64x48/plgmd_k_sd")
-    runs = [responses("plgmd", frames, seed=seed, **BENCHMARK)[1] for seed in range(60)]
+    runs = [responses("plgmd", frames, seed=seed, **BENCHMARK)[1] for seed in range(30)]
     found, spread = np.mean(runs, axis=0)[2:], np.std(runs, axis=0, ddof=1)[2:]
-    errors = abs(found - mean[2:]) / np.hypot(spread / 60**0.5, sd[2:] / 20**0.5)
+    errors = abs(found - mean[2:]) / np.hypot(spread / 30**0.5, sd[2:] / 20**0.5)
     assert (errors < 3.0).mean() >= 0.9 and errors.max() < 5.0
     assert np.median(spread / sd[2:]) == pytest.approx(1.0, abs=0.25)
 
@@ -167,14 +126,3 @@ def test_a_response_is_normalised_by_a_sequence_too():
     assert np.nanmin(result.level) == 0.0 and np.nanmax(result.level) == 1.0
     assert result.rule.peak_text(0.83) == "normalised MP up to 0.83"
     assert rule_of(result.params).peak_text(0.83) == "MP up to 0.83"
-
-
-def test_all_names_every_model_of_the_package(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
-    compared = dlgmd_cli.compare(frames, "all", fps=30)
-    labels = [*compared.results]
-    assert labels == ["set9" if name == "dlgmd" else name for name in MODELS]
-    assert compared.plot("mp").axes
-    named = options.named_models(("9", "3"), (), (*MODELS,))
-    assert [one.label for one in named] == ["set9", "set3", *labels[1:]]

@@ -3,8 +3,6 @@
 import ast
 import inspect
 import re
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -67,19 +65,6 @@ def test_errors_are_the_library_s(dlgmd, tmp_path, call, why):
         call("empty")
     assert re.search(why, f"{type(caught.value).__name__}: {caught.value}")
     assert not Path("x").exists()
-
-
-def test_the_library_is_light_and_needs_no_click():
-    program = """
-import sys, dlgmd_cli
-assert not {"numpy", "cv2", "yaml", "dlgmd_cli.tasks"} & set(sys.modules)
-for name in dlgmd_cli.__all__:
-    assert callable(getattr(dlgmd_cli, name)), name
-heavy = {"click", "rich", "matplotlib", "optuna", "distributed"} & set(sys.modules)
-assert not heavy, heavy
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 def test_public_names_are_declared_for_type_checkers_and_are_no_modules():

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from source import statements, tree
 
 import dlgmd_cli
 from dlgmd_cli.results.outcome import Outcome, drawn_by
@@ -50,6 +51,9 @@ ONLY_IN = {
 
 
 MODULES = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+NAMES = {
+    ".".join([PACKAGE.name, *path.relative_to(PACKAGE).with_suffix("").parts]) for path in MODULES
+}
 
 
 def relative(path):
@@ -58,15 +62,14 @@ def relative(path):
 
 def imports(path):
     """Every module that `path` imports, with those for type checking only."""
-    for node in ast.walk(ast.parse(MODULES[path])):
+    for node in statements(tree(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             for alias in node.names:
                 name = f"{node.module}.{alias.name}"
-                is_module = (PACKAGE.parent / name.replace(".", "/")).with_suffix(".py").exists()
-                yield name if is_module else node.module
+                yield name if name in NAMES else node.module
 
 
 def home(parts):

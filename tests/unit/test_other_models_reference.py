@@ -18,16 +18,6 @@ CLIPS = {
 }
 
 
-LGMD_CHANGES = [
-    *({"p1": 0.4, "p2": -0.3}, {"p2": 0.5}, {"w_i": 0.0}, {"w_i": 2.5}, {"t_ffi": 4.0}),
-    *({"delta_c": 9.0, "c_omega": 0.5}, {"c_de": 1.0, "t_de": 1.0}, {"t_de": 0.0}),
-]
-EMD_CHANGES = [
-    *({"tau_high": 0.3}, {"tau_low": 50.0}, {"delta": 0.0}, {"delta": 1.0}),
-    *({"delta": 0.3, "c": 0.0}, {"f_active": 0.2, "c": 9.0}),
-]
-
-
 @pytest.mark.parametrize("clip", CLIPS)
 @pytest.mark.parametrize(
     ("check", "changes"), [(check_lgmd, {}), (check_lgmd, {"t_ffi": 25.0}), (check_emd, {})]
@@ -36,35 +26,11 @@ def test_models_agree_with_their_equations(clip, check, changes):
     check(CLIPS[clip], **changes)
 
 
-@pytest.mark.parametrize("clip", ["drifting 9x12", "looming 11x14"])
-@pytest.mark.parametrize(
-    ("check", "changes"),
-    [
-        *((check_lgmd, changes) for changes in LGMD_CHANGES),
-        *((check_emd, changes) for changes in EMD_CHANGES),
-    ],
-    ids=lambda one: getattr(one, "__name__", str(one)),
-)
-def test_other_parameters(clip, check, changes):
-    check(CLIPS[clip], **changes)
-
-
-ON_OFF_CLIPS = {
-    "drifting 9x12": CLIPS["drifting 9x12"],
-    "looming 10x13": clips.looming(10, 13, 8, seed=2),
-    "faint": [np.float32(0.5) + frame / 32 for frame in clips.drifting(8, 9, 8, seed=5)],
-    "smaller than the kernel": clips.drifting(4, 1, 6, seed=3),
-    "one cell": CLIPS["one cell"],
-}
-
-
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-@pytest.mark.parametrize("number", [3, 9])
-@pytest.mark.parametrize("clip", ON_OFF_CLIPS)
-def test_on_off_agrees_with_its_equations(clip, number, formulation):
+def test_on_off_agrees_with_its_equations(formulation):
     k = 16.0 if formulation == "released-2020" else 1.0  # else a cell lies at the threshold
-    params = slow.table_2(number, formulation=formulation, k=k)
-    check_dlgmd(ON_OFF_CLIPS[clip], params, on_off=True)
+    params = slow.table_2(9, formulation=formulation, k=k)
+    check_dlgmd(CLIPS["drifting 9x12"], params, on_off=True)
 
 
 def test_the_clips_reach_every_branch_of_the_lgmd():

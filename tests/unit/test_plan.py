@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from plan_checks import check_both, check_fused, check_plan, n_taps
-from reference import slow
 
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.filters import apply, sum_4x4
@@ -18,7 +17,7 @@ def products(filters):
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-@pytest.mark.parametrize("number", sorted(slow.TABLE_2))
+@pytest.mark.parametrize("number", [1, 5, 9])
 def test_plans_of_the_sets_add_up(number, latency):
     params = load_set(number, latency=latency)
     filters, sums = check_both(params)

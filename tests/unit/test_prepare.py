@@ -58,8 +58,9 @@ def test_what_does_not_flicker_passes():
 
 
 def test_the_expansion_does_not_see_flicker():
-    clean, flickering = expansions(views(60)), expansions(lit(views(60), 0.12))
-    without = expansions(lit(views(60), 0.12), deflicker=False)
+    shown = views(36)
+    clean, flickering = expansions(shown), expansions(lit(shown, 0.12))
+    without = expansions(lit(shown, 0.12), deflicker=False)
     errors = [np.abs(one - clean)[20:].mean() for one in (flickering, without)]
     assert errors[0] < 0.1 and errors[0] < 0.7 * errors[1]
 

@@ -157,17 +157,27 @@ ENTRIES = {
 }
 
 
-@pytest.mark.parametrize("name", ENTRIES)
-def test_a_damaged_record_is_named_and_the_rest_is_done(batch_of, dlgmd, name):
-    path = batch_of / "set9/approach/run.yaml"
+def damaged(path, name):
+    """Change an entry of a record."""
     record = {**yaml.safe_load(path.read_text()), name: ENTRIES[name]}
     path.write_text(yaml.safe_dump(record))
+    return path
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_a_damaged_record_is_named(tmp_path, name):
+    make_result(np.arange(20.0)).save(tmp_path)
+    path = damaged(tmp_path / "run.yaml", name)
     with pytest.raises(ResultError, match=f"run.yaml: does not state a valid {name}. Run again"):
-        read_result(path.parent)
+        read_result(tmp_path)
+    with pytest.warns(DlgmdWarning, match=f"run.yaml: does not state a valid {name}; it is ign"):
+        assert read_record(path) == {}
+
+
+def test_beside_a_damaged_record_the_rest_is_done(batch_of, dlgmd):
+    damaged(batch_of / "set9/approach/run.yaml", "camera")
     for command in ("plot", "mp", batch_of), ("view", batch_of, "--out", "v.html"):
         ended = dlgmd(*command)
         assert ended.exit_code == 1 and ended.stdout, ended.output
         (line,) = (line for line in ended.stderr.splitlines() if line.startswith("Error"))
-        assert f"run.yaml: does not state a valid {name}; it is left out" in line
-    with pytest.warns(DlgmdWarning, match=f"run.yaml: does not state a valid {name}; it is ign"):
-        assert read_record(path) == {}
+        assert "run.yaml: does not state a valid camera; it is left out" in line

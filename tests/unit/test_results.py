@@ -1,7 +1,6 @@
 """`Result` and what is stored of it: summaries, files, the commit rule, reading back."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +9,9 @@ from conftest import csv_rows, judged_anew, make_result, result_of_level
 
 import dlgmd_cli
 from dlgmd_cli import read_result
-from dlgmd_cli.errors import MissingExtraError, ResultError
+from dlgmd_cli.errors import ResultError
 from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters.facts import SCHEMA
-from dlgmd_cli.results import csv
 from dlgmd_cli.results.csv import cell, cells
 from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
@@ -250,18 +248,6 @@ def test_spikes_of_duplicate_frames_are_counted_once():
     result.rows["repeat"][[2, 3]] = True
     assert result.summary["spikes"] == 1 and result.summary["first_spike_time_s"] == 1 / 25
     assert result.spikes.tolist() == [False, True, True, True, False]  # held meanwhile
-
-
-def test_to_dataframe_needs_pandas(monkeypatch):
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    result = result_of_level([0.1, 0.5, 0.5])
-    table = result.to_dataframe()
-    assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True]
-    assert {*table.columns} == csv.KNOWN
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"pip install '\.\[pandas\]'"):
-        result.to_dataframe()
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,11 @@ def test_every_file_has_a_writer_that_exists():
         assert one.meaning and (not one.writer or callable(one.write))
 
 
-def test_a_batch_continues_until_every_file_is_there(tmp_path):
+def test_a_batch_continues_until_every_file_is_there(tmp_path, here):
     clip, out = write_video(tmp_path / "loom.avi", looming_frames()), tmp_path / "out"
-    once = {"model": 9, "out": out, "formats": ("vtt", "svg"), "jobs": 1}
+    once = {"model": 9, "out": out, "formats": ("vtt",), "jobs": 1}
     dlgmd_cli.batch(clip, **once)
-    expected = names_of(RUN, ("vtt", "svg"))
+    expected = names_of(RUN, ("vtt",))
     assert {path.name for path in (out / "loom").iterdir()} == expected
     for name in sorted(expected - {RUN}):
         (out / "loom" / name).unlink()

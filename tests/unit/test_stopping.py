@@ -28,7 +28,7 @@ def test_arducopter_stops_as_in_its_simulator(brake, speed, distance_m):
     assert Brake.parse(brake).distance_m(speed) == pytest.approx(distance_m, rel=0.1)
 
 
-def integrated_s(speed, wanted, jerk, most, step_s=1e-4):
+def integrated_s(speed, wanted, jerk, most, step_s=2e-4):
     """Distance over speed of a drone whose deceleration aims at `wanted(v)`, by small steps."""
     v, decel, distance_m = speed, 0.0, 0.0
     while v > 1e-4 * speed:
@@ -38,8 +38,8 @@ def integrated_s(speed, wanted, jerk, most, step_s=1e-4):
     return distance_m / speed
 
 
-@pytest.mark.parametrize("speed", [0.3, 1.0, 1.3, 2.0, 5.0, 12.0, 25.0])
-@pytest.mark.parametrize("jerk", [3.0, 5.0, 10.0, 18.8])
+@pytest.mark.parametrize("speed", [0.3, 1.3, 2.0, 25.0])
+@pytest.mark.parametrize("jerk", [3.0, 18.8])
 def test_the_shaping_s_closed_form_is_its_integral(speed, jerk):
     most = 9.81 * math.tan(math.radians(30.0))
     shaped_s = integrated_s(speed, lambda v: v * jerk / 7.5, jerk, most)

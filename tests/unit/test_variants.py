@@ -4,7 +4,6 @@ import importlib
 import sys
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from conftest import looming_frames, scene
@@ -18,7 +17,7 @@ from dlgmd_cli.models.columns import columns_of
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
 from dlgmd_cli.parameters.keys import OWN_MODELS
-from dlgmd_cli.parameters.presets import DlgmdParameters, find_model
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 SUMS = tuple(one.name for one in columns_of(Response))
 # What leaves S, G and K to one go, and what takes the plain path.
@@ -69,7 +68,7 @@ def check_equal(one, other, rel=1e-5):
 
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
-@pytest.mark.parametrize("number", range(1, 10))
+@pytest.mark.parametrize("number", [2, 9])
 def test_layer_by_layer_is_what_one_go_computes(number, formulation):
     params = DlgmdParameters(**slow.table_2(number, formulation=formulation, a=0.4))
     frames = scene(40, 61)
@@ -86,8 +85,7 @@ def test_tiles_are_what_the_whole_frame_is(shape):
     check_equal(tiled, steps(identity(BEFORE + LATER)(params), frames, layers=True))
 
 
-@pytest.mark.parametrize("base", [DLGMD, OnOffDLGMD])
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize(("base", "dtype"), [(DLGMD, np.uint8), (OnOffDLGMD, np.float32)])
 @pytest.mark.parametrize("name", [*BEFORE, *LATER])
 def test_one_layer_that_is_the_same_changes_nothing(name, dtype, base):
     params = base.params_class(**slow.table_2(9, a=0.4))
@@ -252,26 +250,6 @@ def test_frames_that_are_none_are_refused_before_a_layer_sees_them():
     model.step(np.zeros((9, 9), np.uint8))
     with pytest.raises(FrameError, match="but the frames before are"):
         model.step(np.zeros((9, 8), np.uint8))
-
-
-@pytest.mark.painted
-def test_kernels_are_those_of_the_model(runs, tmp_path, monkeypatch):
-    (tmp_path / "later.py").write_text(
-        "import dlgmd_cli\n"
-        "class Later(dlgmd_cli.DLGMD):\n"
-        "    def latency(self):\n"
-        "        return 1.25 + super().latency()\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    later = find_model("later:Later").model_class
-    ours, theirs = (kind().connections for kind in (dlgmd_cli.DLGMD, later))
-    np.testing.assert_allclose(theirs.latency, ours.latency + 1.25)
-    assert set(theirs.inhibition) == {1, 2} and not np.array_equal(
-        theirs.excitation, ours.excitation
-    )
-    runs("sets", "later:Later", "--plot", "later.png")
-    assert cv2.imread("later.png").min() < cv2.imread("later.png").max()
-    sys.modules.pop("later")
 
 
 # The page

@@ -5,7 +5,7 @@ import inspect
 import re
 from pathlib import Path
 
-import pytest
+from source import statements, tree
 
 import dlgmd_cli
 
@@ -31,12 +31,13 @@ def arguments(node):
     return {one.arg for one in every if one is not None}
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=str)
-def test_what_is_documented_is_an_argument(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node):
-            unknown = documented(ast.get_docstring(node)) - arguments(node)
-            assert not unknown, f"{node.name}: {unknown}"
+def test_what_is_documented_is_an_argument():
+    for path in ROOT.rglob("*.py"):
+        for node in statements(tree(path)):
+            docstring = isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node)
+            if docstring and "Parameters\n" in docstring:
+                unknown = documented(docstring) - arguments(node)
+                assert not unknown, f"{path}: {node.name}: {unknown}"
 
 
 def test_public_functions_document_their_arguments():
