@@ -28,7 +28,6 @@ from dlgmd_cli.models.normalise import absolute
 from dlgmd_cli.parameters import presets
 from dlgmd_cli.parameters.keys import RULES
 from dlgmd_cli.parameters.presets import DlgmdParameters
-from dlgmd_cli.plots import style
 from dlgmd_cli.results import intervals
 from dlgmd_cli.results.csv import rows_of
 from dlgmd_cli.results.judging import judged
@@ -300,7 +299,10 @@ def quick(request, monkeypatch):
         return
     monkeypatch.setattr(intervals, "N_RESAMPLES", 200)
     if not request.node.get_closest_marker("painted"):
-        monkeypatch.setattr(style, "save_figure", lambda figure, path, dpi=0: path.touch())
+        # By its name: Matplotlib is not imported before a test needs it.
+        monkeypatch.setattr(
+            "dlgmd_cli.plots.style.save_figure", lambda figure, path, dpi=0: path.touch()
+        )
 
 
 @pytest.fixture

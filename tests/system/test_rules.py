@@ -396,3 +396,20 @@ def test_what_is_no_rule_is_refused_in_a_line(mine, dlgmd, footage):
     assert "mine:Undefined, value(): it returns NaN in all frames" in result.stderr
     result = dlgmd("calibrate", footage / "labels.csv", "--set", 9, "--alarm", mine)
     assert result.exit_code != 0 and "has no parameter to calibrate" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ("run {} --threshold 0.4", "expansion: expansion of 0.4/s or more"),
+        ("run {} --alarm ttc --threshold 0.9", "ttc: time to contact of 0.9 s or less"),
+        ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at an MP of 0.6 or more"),
+        ("run {} --speed-m-s 3", "expansion: expansion of 0.554054/s or more"),
+        ("batch {} --speed-m-s 3 --brake 1s --jobs 1", "expansion: expansion of 0.4/s or more"),
+        ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),
+    ],
+)
+def test_a_threshold_is_that_of_the_rule_that_holds(runs, here, clips, tmp_path, line, rule):
+    runs(*line.format(clips / "loom.avi").split())
+    (record,) = tmp_path.rglob("run.yaml")
+    assert dlgmd_cli.read_result(record.parent).rule.text == rule

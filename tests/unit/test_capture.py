@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from arrivals import at_beacons, in_bursts, in_jitter, stalled
 
-from dlgmd_cli import Alarm, run
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli import Alarm
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import COLUMNS
 from dlgmd_cli.models.health import BLIND_S, LEAST_MEASURED, Health, Measuring
@@ -161,24 +160,6 @@ def test_jitter_that_looks_even_at_first_is_found_within_a_second():
         assert np.diff(times)[90:] == pytest.approx(1 / 60, rel=0.02)
 
 
-def test_an_alarm_does_not_take_a_late_frame_for_a_big_step(caplog):
-    frames, (captured, came) = views(61), stalled(30, 0.2, 61)
-    found = {}
-    for name, times in (("captured", captured), ("came", came)):
-        alarm = Alarm()
-        found[name] = [alarm.step(*one) for one in zip(frames, times.tolist(), strict=True)]
-    mp = {name: np.array([one.mp_abs for one in told]) for name, told in found.items()}
-    np.testing.assert_allclose(mp["came"][20:], mp["captured"][20:], atol=0.02)
-    assert caplog.messages == [
-        "frames come unevenly, up to 0.20 s late; the times of their capture are used"
-    ]
-    exact = Alarm(times="capture")  # which this is not
-    wrong = [exact.step(*one).mp_abs for one in zip(frames, came.tolist(), strict=True)]
-    assert np.isnan(wrong[20:]).any() and not np.isnan(mp["came"][20:]).any()  # it starts anew
-    with pytest.raises(ParameterError, match="times = 'late' is not one of arrival, capture"):
-        Alarm(times="late")
-
-
 @pytest.mark.parametrize("first", [40, 41])
 def test_a_gap_before_an_image_that_is_left_out_comes_before_the_next(first):
     intake, numbers = Intake(Continuity(), max_fps=30.0), np.arange(60)
@@ -320,19 +301,3 @@ def test_unmeasured():
     assert not measuring.step(1.0, 3.0 + BLIND_S)
     assert not measuring.step(0.0, 1.0)  # the clock was set back
     assert measuring.step(math.nan, 1.0 + BLIND_S)
-
-
-@pytest.mark.parametrize(
-    ("alarm", "reason"), [("expansion", "unmeasured"), ("ttc", "unmeasured"), ("spikes", "")]
-)
-def test_a_plain_wall_is_unmeasured(alarm, reason):
-    """It is no fault of the images, which have a frame around the wall."""
-    wall = np.full((108, 192), 150, np.uint8)
-    wall[:12], wall[-12:] = 40, 220
-    frames = [np.roll(wall, n % 3, axis=0) for n in range(45)]
-    if alarm != "ttc":
-        rows = [*map(Alarm(alarm=alarm, repeats="skip").step, frames, np.arange(45) / 30)]
-        assert rows[0].blind == "" and rows[-1].blind == reason
-    result = run(np.array(frames), "flight", fps=30, param={"alarm": alarm})
-    assert result.blind[-1] == reason and set(result.blind) == {"", reason}
-    assert (result.blind_share > 0.4) == bool(reason)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dlgmd_cli import __version__, read_result
+from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import GROUPS, cli
 from dlgmd_cli.parameters.presets import MODELS, load_config, load_preset, parameters_of
 
@@ -188,20 +188,3 @@ def test_the_table_of_collisions_has_the_same_names_everywhere(dlgmd):
         assert {*opts} == {"--collisions", "--labels"}
         text = dlgmd(name, "--help").stdout  # the alias is not shown
         assert "  --collisions" in text and "--labels" not in text
-
-
-@pytest.mark.parametrize(
-    ("line", "rule"),
-    [
-        ("run {} --threshold 0.4", "expansion: expansion of 0.4/s or more"),
-        ("run {} --alarm ttc --threshold 0.9", "ttc: time to contact of 0.9 s or less"),
-        ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at an MP of 0.6 or more"),
-        ("run {} --speed-m-s 3", "expansion: expansion of 0.554054/s or more"),
-        ("batch {} --speed-m-s 3 --brake 1s --jobs 1", "expansion: expansion of 0.4/s or more"),
-        ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),
-    ],
-)
-def test_a_threshold_is_that_of_the_rule_that_holds(runs, here, clips, tmp_path, line, rule):
-    runs(*line.format(clips / "loom.avi").split())
-    (record,) = tmp_path.rglob("run.yaml")
-    assert read_result(record.parent).rule.text == rule

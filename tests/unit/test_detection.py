@@ -2,9 +2,7 @@
 
 import math
 import re
-from itertools import pairwise
 
-import cv2
 import numpy as np
 import pytest
 from conftest import looming_frames, write_video
@@ -19,13 +17,11 @@ from dlgmd_cli.models.normalise import absolute, sequence
 from dlgmd_cli.models.rules import rule_of, side_of
 from dlgmd_cli.parameters.presets import (
     MODELS,
-    LgmdParameters,
     load_config,
     load_set,
     parameters_of,
 )
 from dlgmd_cli.tasks.call import choose
-from dlgmd_cli.video.luma import to_grey
 
 NAN = np.nan
 FRAMES = clips.looming(24, 30, 9, seed=1)
@@ -141,32 +137,6 @@ def test_the_alarm_goes_off_as_a_disc_looms():
         alarm.step(np.zeros((60, 80, 4), np.uint8))
 
 
-def test_a_camera_s_pictures_are_reduced_as_a_video_s():
-    """Colour of 1000 px, which the preset processes at 240, the paper's sets at 480."""
-    rng = np.random.default_rng(4)
-    frames = [
-        cv2.cvtColor(cv2.resize(frame, (1000, 400)), cv2.COLOR_GRAY2BGR)
-        for frame in looming_frames(5)
-    ]
-    for frame in frames:
-        frame[..., 2] = cv2.add(frame[..., 2], rng.integers(0, 20, (400, 1000), np.uint8))
-    for params, size in (
-        (None, (240, 96)),
-        (load_set(3), (480, 192)),
-        (LgmdParameters(), (480, 192)),
-    ):
-        alarm, expected = Alarm(params), Alarm(params, resize=False)
-        answers = [alarm.step(frame) for frame in frames]
-        assert alarm.model.n_cells == size[0] * size[1]
-        for answer, frame in zip(answers, frames, strict=True):
-            small = to_grey(frame, (240, 96))
-            found = expected.step(to_grey(frame, size), small=small)
-            np.testing.assert_equal(vars(found), vars(answer))
-    narrow = Alarm(width_px=1200)
-    narrow.step(np.float32(frames[0] / 255.0))
-    assert narrow.model.n_cells == 400_000  # never enlarged
-
-
 def test_parameters_are_made_for_the_width_of_their_model():
     widths = [
         choose(one).config.width_px for one in ("flight", "flight-small", load_set(3), "lgmd")
@@ -181,50 +151,10 @@ def test_an_alarm_takes_a_file_of_parameters(tmp_path):
     assert alarm.params == load_set(3, n_sp=1) and alarm.model.n_cells == 100 * 45
 
 
-@pytest.mark.parametrize("fps", [50, 120])
-def test_frames_that_come_too_often_are_left_out_as_a_run_does(fps):
-    """Even where their times jitter by a quarter of a frame."""
-    rng, every, n = np.random.default_rng(1), math.ceil(fps / 33), fps + 40
-    times_s = (np.arange(n) + rng.uniform(-0.2, 0.2, n)) / fps
-    frames = [np.full((24, 32), 90 * (number % 2), np.uint8) for number in range(n)]
-    alarm = Alarm(load_set(3))
-    for _ in range(2):
-        found = [alarm.step(*one) for one in zip(frames, times_s.tolist(), strict=True)]
-        is_new = [a is not b for a, b in pairwise(found)]
-        assert all(is_new[: fps - 2])  # the rate is not known for a second
-        assert set(np.diff(np.flatnonzero(is_new[fps + 5 :]))) == {every}
-        alarm.reset()
-    # The clock is set back.
-    assert alarm.step(frames[0], 9.0) is not alarm.step(frames[1], 0.0)
-
-
 def test_all_frames_are_processed_if_asked_for():
     alarm = Alarm(load_set(3), all_frames=True)
     found = [alarm.step(np.full((24, 32), 90 * (n % 2), np.uint8), n / 60) for n in range(99)]
     assert len(set(map(id, found))) == 99
-
-
-@pytest.mark.parametrize(
-    ("times_s", "repeats", "warning"),
-    [
-        (
-            np.arange(99) / 60,
-            False,
-            "frames are processed at 60 a second, but the parameters are made for",
-        ),
-        (np.arange(99) / 60, True, ""),  # every image twice, which makes 30 new ones a second
-        (np.arange(60) / 12, False, "frames are processed at 12 a second"),
-        (np.arange(50) / 25, False, ""),
-        (np.r_[np.arange(25) / 12, 5 + np.arange(60) / 30], False, ""),  # too few, then a gap
-    ],
-)
-def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
-    treatment = "skip" if repeats else "keep"
-    alarm = Alarm(all_frames=True, repeats=treatment)
-    for number, time_s in enumerate(times_s):
-        image = number // 2 if repeats else number
-        alarm.step(np.full((24, 32), 90 * (image % 2), np.uint8), float(time_s))
-    assert len(caplog.messages) == bool(warning) and warning in caplog.text
 
 
 def test_the_frames_of_an_open_video_give_what_run_gives(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.models.detection import Detection, spans
@@ -165,6 +165,7 @@ def plain(one, n_sp, threshold):
     return spans(alarms[np.cumsum(is_new) - 1], one.time_s)
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(0, 4))
 def test_all_thresholds_say_what_each_alone_does(seed, n_sp):
     """The rule is `ttc` where `n_sp` is 0."""

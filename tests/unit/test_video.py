@@ -562,13 +562,11 @@ def seen(kinds):
         ("m" + "f" * 30, "nothing can be seen: all frames are the same"),
     ],
 )
-@pytest.mark.parametrize("repeats", ["keep", "skip"])
-def test_blind_pictures_are_told(tmp_path, kinds, told, repeats):
+def test_blind_pictures_are_told(tmp_path, kinds, told):
     pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
-    # Of the decoders, one for each.
-    decoder = {"keep": "pyav", "skip": "opencv"}[repeats]
-    for path in (video, np.array(seen(kinds)))[: 2 if repeats == "skip" else 1]:
+    of_array = "opencv", "skip", np.array(seen(kinds))
+    for decoder, repeats, path in (("pyav", "keep", video), ("opencv", "skip", video), of_array):
         with open_video(path, decoder=decoder, repeats=repeats, input_fps=25.0) as source:
             for _ in range(2):  # what is told is told once
                 assert len(list(source)) <= len(kinds)
