@@ -111,7 +111,7 @@ def answers_of_python(params, frames, steps_ms=(0,), headings=(None,), camera=CA
         repeats="keep",
         all_frames=True,
         times="capture",
-        expansion=Expansion(camera=camera, at_rest=False),
+        expansion=Expansion(camera=camera, looks_around=False),
     )
     rows, time_ms = [], 0
     for frame, step_ms, heading in zip(frames, cycle(steps_ms), cycle(headings), strict=False):

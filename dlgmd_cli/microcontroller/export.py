@@ -403,7 +403,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     """
     tried = []
     for frames in approaches:
-        ahead = expansion.Expansion(camera=export.camera, at_rest=False)
+        ahead = expansion.Expansion(camera=export.camera, looks_around=False)
         alarm = Alarm(export.params, resize=False, repeats="keep", expansion=ahead)
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):

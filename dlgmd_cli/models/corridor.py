@@ -1,7 +1,8 @@
-"""How soon a drone whose motion is known reaches what is in its way, point by point.
+"""How soon a drone reaches what is in its way, point by point.
 
-The window ahead averages an object with the background beside it. With the drone's attitude,
-direction and speed, each point has a time to contact of its own, and a place in the way or beside.
+The window ahead averages an object with the background beside it. With the direction of flight and
+the turns of the camera, each point has a time to contact of its own, and a place in the way or
+beside. A drone's motion tells both; else they are found in the image.
 """
 
 import math
@@ -12,7 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import Flags, Grey
-from dlgmd_cli.models.growth import MIN_POINTS, PATCH_WH, Points, grid, returns, tracked_near
+from dlgmd_cli.models.growth import (
+    MIN_POINTS,
+    PATCH_WH,
+    Points,
+    returns,
+    tracked,
+    tracked_near,
+    visible,
+)
 from dlgmd_cli.models.windows import Camera, Direction
 
 # The way reaches so far (m) to each side of the drone and above it, and below it: a hull of 0.3 m,
@@ -23,16 +32,23 @@ LEAST_M_S = 0.5
 # Points are tracked as far from the direction as they can be in the way at this rate (1/s), but at
 # most this far. Neighbours are STEP_PX apart, or so much further that MOST_OUT reach the edge.
 FASTEST, FARTHEST_DEG, STEP_PX, MOST_OUT = 1.2, 24.0, 3.0, 16
-# Other points, so many along each side of the image, help to tell how the camera turned.
-N_TURN = 7
+# Other points, so many along the sides of the image, tell how the camera turned, and more of them
+# where the drone flies.
+N_TURN, N_FOUND = 7, (14, 8)
 # A point has moved if its patch fits less well, by this share, where it would be if it were far
 # away: a repeated pattern fits at several places. Differences of NOISE_LEVELS are noise.
 BETTER, NOISE_LEVELS = 0.6, 0.3
-# Standard deviations of a tracked place (px), of the direction of flight, and of the turn between
-# two images by the attitude (rad).
-PLACE_PX, DIRECTION_RAD, TURN_RAD = 0.1, math.radians(3.0), 0.005
+# Standard deviation of a tracked place (px).
+PLACE_PX = 0.1
+# A drone whose motion is unknown is taken to fly so fast (m/s).
+USUAL_M_S = 2.0
+# Standard deviations of the turn between two images, and of the direction of flight (rad): by the
+# drone's motion, and before they are found in the image.
+KNOWN, UNKNOWN_RAD = (0.005, math.radians(3.0)), (0.09, math.radians(10.0))
 # Steps of the fit, and the standard deviations beyond which a point counts less.
 N_STEPS, OUTSIDE = 4, 3.0
+# The direction that is found moves by at most this (rad) in a step.
+MOST_STEP_RAD = 0.06
 # A rate counts less its standard error, if this is at most MOST_ERROR (1/s), and if the point is
 # not nearer to the direction (rad), where it hardly moves. A point moves away from the direction:
 # across by at most MOST_ACROSS standard deviations and this share of its way.
@@ -86,10 +102,64 @@ class Motion(NamedTuple):
         return np.stack((right, down, forward))
 
 
+class Course(NamedTuple):
+    """How a camera flies from an image to a later one.
+
+    Attributes
+    ----------
+    direction : (float, float)
+        To the right and upwards from the axis, in degrees, at the earlier image.
+    speed_m_s : float
+    turn : ndarray, shape (3, 3)
+        From what a far point's direction is at the earlier image to what it is at the later one.
+    prior : ndarray, shape (5, 5)
+        Inverse covariance (1/rad²) of the turns about the three axes and of the direction.
+    n_turn : int
+        Columns and rows of points over the whole image that tell more of both.
+    """
+
+    direction: Direction
+    speed_m_s: float
+    turn: _Numbers
+    prior: _Numbers
+    n_turn: int
+
+
+def known(motions: tuple[Motion, Motion], camera: Camera) -> Course:
+    """The course of a drone that tells its speed and attitude at two images."""
+    then, now = motions
+    turn = now.axes(camera.tilt_deg) @ then.axes(camera.tilt_deg).T
+    return Course(then.direction, then.speed_m_s, turn, _prior(*KNOWN), N_TURN)
+
+
+def found(before: Grey, now: Grey, camera: Camera, shown: Flags | None = None) -> Course | None:
+    """The course by the moves of points over the whole image, at a usual speed.
+
+    None if too few points can be tracked, or the image does not show where the camera flies.
+    """
+    points = visible(_spread(now.shape, *N_FOUND), now.shape, shown)
+    there, is_tracked, _ = tracked(before, now, points)
+    if np.count_nonzero(is_tracked) < 2 * MIN_POINTS:
+        return None
+    focal, axis = camera.focal(now.shape[1]), np.array(camera.axis(now.shape))
+    points, there = ((places[is_tracked] - axis) / focal for places in (points, there))
+    foe = ahead = np.tan(np.radians(camera.ahead)) * (1.0, -1.0)
+    turns, prior = np.zeros(3), _prior(*UNKNOWN_RAD)
+    for _ in range(N_STEPS):
+        left = there - _by_turns(points, there) @ turns
+        more, precision = _fitted(points, left, foe, PLACE_PX / focal, prior, ahead - foe)
+        turns, foe = turns + more[:3], foe + np.clip(more[3:], -MOST_STEP_RAD, MOST_STEP_RAD)
+    right_deg, up_deg = np.degrees(np.arctan(foe * (1.0, -1.0))).tolist()
+    if camera.window(now.shape, (right_deg, up_deg)) is None:
+        return None
+    turn = np.asarray(cv2.Rodrigues(-turns)[0])
+    return Course((right_deg, up_deg), USUAL_M_S, turn, precision, 0)
+
+
 def fastest(
     before: Grey,
     now: Grey,
-    motions: tuple[Motion, Motion],
+    course: Course,
     camera: Camera,
     age_s: float,
     shown: Flags | None = None,
@@ -100,8 +170,8 @@ def fastest(
     ----------
     before, now : ndarray, shape (H, W), uint8
         An earlier and a later image.
-    motions : (Motion, Motion)
-        The drone's motion when they were taken; both with speed and attitude.
+    course : Course
+        From the earlier to the later one.
     camera : Camera
     age_s : float
         The time from the earlier to the later image.
@@ -118,22 +188,21 @@ def fastest(
 
     Notes
     -----
-    The later image is turned back by the attitude, so that far points stay where they are. With
-    the place z = (x, y) of a point, the direction f, r = |z - f| and the move d, all on the plane
-    at the distance 1, the point reaches the camera at the rate q / t, with q = d·(z - f) / r² and
-    the time t between the images. Remaining turns ω and an error of the direction are found from
-    the moves across z - f, which do not depend on depth: weighted least squares with `TURN_RAD`
-    and `DIRECTION_RAD` as priors. Their covariance is in the standard error of each q. A point is
-    in the way of a drone with the speed v if the distance r v / q is at most `BESIDE_M`.
+    The later image is turned back, so that far points stay where they are. With the place
+    z = (x, y) of a point, the direction f, r = |z - f| and the move d, all on the plane at the
+    distance 1, the point reaches the camera at the rate q / t, with q = d·(z - f) / r² and the time
+    t between the images. Remaining turns ω and an error of the direction are found from the moves
+    across z - f, which do not depend on depth: weighted least squares with the course's errors as
+    priors. Their covariance is in the standard error of each q. A point is in the way of a drone
+    with the speed v if the distance r v / q is at most `BESIDE_M`.
     """
-    way = _Way(motions[0], camera, now.shape)
-    turn = way.view @ motions[1].axes(camera.tilt_deg) @ motions[0].axes(camera.tilt_deg).T
-    turn = turn @ np.linalg.inv(way.view)
+    way = _Way(course, camera, now.shape)
+    turn = way.view @ course.turn @ np.linalg.inv(way.view)
     turned = cv2.warpPerspective(
         now, turn, now.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     )
     at_rest = cv2.boxFilter(cv2.absdiff(before, turned), cv2.CV_32F, PATCH_WH)
-    points = np.concatenate((way.points, _spread(now.shape)))
+    points = np.concatenate((way.points, _spread(now.shape, course.n_turn, course.n_turn)))
     usable = _usable(points, now.shape, shown)
     usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
     if np.count_nonzero(usable) < 2 * MIN_POINTS:
@@ -146,10 +215,11 @@ def fastest(
     column, row = np.rint(points).astype(np.intp).T
     moved = differs[reached] + NOISE_LEVELS < BETTER * (at_rest[row, column] + NOISE_LEVELS)
     moved &= kept < len(way.points)
-    sight = _sight(way.on_plane(points), way.on_plane(there), way.foe, way.focal)
-    moved &= sight.moves_away
+    sight = _sight(way.on_plane(points), way.on_plane(there), way.foe, way.focal, course.prior)
+    rate = (sight.growth - sight.error) / age_s
+    moved &= sight.moves_away & (sight.error <= MOST_ERROR * age_s) & way.holds(points, sight, rate)
     moved[moved] = returns(before, turned, points[moved], there[moved])
-    return way.reached(points, sight, moved, age_s)
+    return way.reached(points[moved], rate[moved])
 
 
 class _Way:
@@ -164,13 +234,13 @@ class _Way:
     points : ndarray, shape (n, 2)
     """
 
-    def __init__(self, motion: Motion, camera: Camera, shape: tuple[int, ...]) -> None:
+    def __init__(self, course: Course, camera: Camera, shape: tuple[int, ...]) -> None:
         self.focal, self._shape = camera.focal(shape[1]), shape
         self._axis = np.array(camera.axis(shape))
         self.view = np.diag((self.focal, self.focal, 1.0))
         self.view[:2, 2] = self._axis
-        self.foe = np.tan(np.radians(motion.direction)) * (1.0, -1.0)
-        self._per_m = 1.0 / motion.speed_m_s
+        self.foe = np.tan(np.radians(course.direction)) * (1.0, -1.0)
+        self._per_m = 1.0 / course.speed_m_s
         reach = min(BESIDE_M * self._per_m * FASTEST, math.tan(math.radians(FARTHEST_DEG)))
         self._step = STEP_PX * math.ceil(reach * self.focal / STEP_PX / MOST_OUT)
         self._n_out = math.ceil(reach * self.focal / self._step)
@@ -184,21 +254,19 @@ class _Way:
         """Places in px, on the plane at the distance 1."""
         return (points - self._axis) / self.focal
 
-    def reached(
-        self, points: Points, sight: "_Sight", counts: Flags, age_s: float
-    ) -> tuple[float, tuple[float, float]]:
-        """The rate of the fastest group of neighbours in the way, and its place."""
+    def holds(self, points: Points, sight: "_Sight", rate: _Numbers) -> Flags:
+        """Which points are in the way at these rates."""
         away = self.on_plane(points) - sight.foe
         away[:, 1] *= np.where(away[:, 1] > 0.0, BESIDE_M / BELOW_M, 1.0)
-        rate = (sight.growth - sight.error) / age_s
-        is_in_way = np.hypot(*away.T) <= BESIDE_M * self._per_m * rate
-        counts = counts & is_in_way & (sight.error <= MOST_ERROR * age_s)
+        return np.asarray(np.hypot(*away.T) <= BESIDE_M * self._per_m * rate)
+
+    def reached(self, points: Points, rate: _Numbers) -> tuple[float, tuple[float, float]]:
+        """The rate of the fastest group of neighbours, and its place."""
         cells = np.rint((points - self._middle) / self._step).astype(np.intp) + self._n_out
-        counts &= np.all((cells >= 0) & (cells <= 2 * self._n_out), axis=1)
-        if np.count_nonzero(counts) < SUPPORT:
+        if len(cells) < SUPPORT:
             return NOTHING
         rates = np.zeros((2 * self._n_out + 3,) * 2)
-        rates[cells[counts, 1] + 1, cells[counts, 0] + 1] = rate[counts]
+        rates[cells[:, 1] + 1, cells[:, 0] + 1] = rate
         blocks = np.lib.stride_tricks.sliding_window_view(rates, (3, 3))
         reached = np.partition(blocks.reshape(*blocks.shape[:2], 9), -SUPPORT)[..., -SUPPORT]
         row, column = np.unravel_index(np.argmax(reached), reached.shape)
@@ -210,10 +278,18 @@ class _Way:
         return float(reached[row, column]), place
 
 
-def _spread(shape: tuple[int, ...]) -> Points:
-    """Points over the whole image."""
+def _prior(turn_rad: float, direction_rad: float) -> _Numbers:
+    """The inverse covariance of three turns and a direction with these standard deviations."""
+    deviations = np.array([turn_rad] * 3 + [direction_rad] * 2)
+    return np.diag(deviations**-2.0)
+
+
+def _spread(shape: tuple[int, ...], n_across: int, n_down: int) -> Points:
+    """Columns and rows of points over the whole image."""
     height, width = shape
-    return grid((8.0, 8.0, width - 9.0, height - 9.0), N_TURN)
+    across = np.linspace(8.0, width - 9.0, n_across)
+    down = np.linspace(8.0, height - 9.0, n_down)
+    return np.float32(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
 
 
 def _usable(points: Points, shape: tuple[int, ...], shown: Flags | None = None) -> Flags:
@@ -239,32 +315,16 @@ class _Sight(NamedTuple):
     moves_away: Flags
 
 
-def _sight(points: _Numbers, there: _Numbers, foe: _Numbers, focal: float) -> _Sight:
+def _sight(
+    points: _Numbers, there: _Numbers, foe: _Numbers, focal: float, prior: _Numbers
+) -> _Sight:
     """The growth of each point, from its place on the plane at the distance 1 in two images."""
-    move, deviation = there - points, PLACE_PX / focal
-    x, y = ((points + there) / 2.0).T
-    # The move by small turns about the axes to the right, down and forward, (n, 2, 3).
-    by_turns = np.stack(
-        (np.stack((x * y, -1.0 - x * x, y), -1), np.stack((1.0 + y * y, -x * y, -x), -1)), axis=1
-    )
-    along, across, distance = _away(points, foe)
-    moved_across = _dot(move, across)
-    growth = np.clip(_dot(move, along) / distance, 0.0, 0.3)
-    factors = np.concatenate(
-        (np.einsum("nij,ni->nj", by_turns, across), -growth[:, np.newaxis] * across), axis=1
-    )
-    prior = np.diag(np.array([TURN_RAD] * 3 + [DIRECTION_RAD] * 2) ** -2.0)
-    weight = np.ones(len(points))
-    for _ in range(N_STEPS):
-        weighted = factors * (weight / deviation**2)[:, np.newaxis]
-        precision = weighted.T @ factors + prior
-        found = np.linalg.solve(precision, weighted.T @ moved_across)
-        squares = ((moved_across - factors @ found) / deviation) ** 2
-        scale = max(1.0, 2.2 * float(np.median(squares)))
-        weight = 1.0 / (1.0 + squares / (OUTSIDE**2 * scale))
-    covariance = np.linalg.inv(precision) * scale
-    move = move - by_turns @ found[:3]
-    foe = foe + found[3:]
+    deviation = PLACE_PX / focal
+    more, precision = _fitted(points, there, foe, deviation, prior)
+    covariance = np.linalg.inv(precision)
+    by_turns = _by_turns(points, there)
+    move = there - points - by_turns @ more[:3]
+    foe = foe + more[3:]
     along, across, distance = _away(points, foe)
     growth = _dot(move, along) / distance
     by = (
@@ -278,6 +338,60 @@ def _sight(points: _Numbers, there: _Numbers, foe: _Numbers, focal: float) -> _S
     most = MOST_ACROSS * deviation + SHARE_ACROSS * np.abs(growth) * distance
     moves_away = (distance > LEAST_RAD) & (np.abs(_dot(move, across)) < most)
     return _Sight(foe, growth, error, moves_away)
+
+
+def _fitted(
+    points: _Numbers,
+    there: _Numbers,
+    foe: _Numbers,
+    deviation: float,
+    prior: _Numbers,
+    expected: _Numbers | float = 0.0,
+) -> tuple[_Numbers, _Numbers]:
+    """Three turns and two corrections of the direction, (5,), and their inverse covariance.
+
+    Parameters
+    ----------
+    points, there : ndarray, shape (n, 2)
+        Places on the plane at the distance 1 in two images.
+    foe : ndarray, shape (2,)
+        The direction there.
+    deviation : float
+        Standard deviation of a place.
+    prior : ndarray, shape (5, 5)
+        The inverse covariance before: of turns that are 0 at best, and of the corrections.
+    expected : ndarray, shape (2,)
+        The corrections at best.
+    """
+    move = there - points
+    along, across, distance = _away(points, foe)
+    moved_across = _dot(move, across)
+    growth = np.clip(_dot(move, along) / distance, 0.0, 0.3)
+    factors = np.concatenate(
+        (
+            np.einsum("nij,ni->nj", _by_turns(points, there), across),
+            -growth[:, np.newaxis] * across,
+        ),
+        axis=1,
+    )
+    pull = prior[:, 3:] @ np.broadcast_to(expected, 2)
+    weight = np.ones(len(points))
+    for _ in range(N_STEPS):
+        weighted = factors * (weight / deviation**2)[:, np.newaxis]
+        precision = weighted.T @ factors + prior
+        fit = np.linalg.solve(precision, weighted.T @ moved_across + pull)
+        squares = ((moved_across - factors @ fit) / deviation) ** 2
+        # Without NumPy's `median`, which takes as long as the rest of a step.
+        scale = max(1.0, 2.2 * float(np.partition(squares, len(squares) // 2)[len(squares) // 2]))
+        weight = 1.0 / (1.0 + squares / (OUTSIDE**2 * scale))
+    return fit, precision / scale
+
+
+def _by_turns(points: _Numbers, there: _Numbers) -> _Numbers:
+    """The moves by small turns about the axes to the right, down and forward, (n, 2, 3)."""
+    x, y = ((points + there) / 2.0).T
+    right = np.stack((x * y, -1.0 - x * x, y), -1)
+    return np.stack((right, np.stack((1.0 + y * y, -x * y, -x), -1)), axis=1)
 
 
 def _away(points: _Numbers, foe: _Numbers) -> tuple[_Numbers, _Numbers, _Numbers]:

@@ -60,8 +60,8 @@ class Detection(Measured, Response):
     signal_limit: str = column(
         "–",
         "what holds `signal` below the raw rate: `ground` (the image grows less across than down), "
-        "`quality` (the rate is uncertain), `approach` (the rate is that of an object that "
-        "approaches a camera at rest); empty for nothing",
+        "`quality` (the rate is uncertain), `points` (less is in the way), `approach` (the rate is "
+        "that of an object that approaches a camera at rest); empty for nothing",
         kind=str,
         default="",
     )

@@ -16,7 +16,7 @@ from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models.approach import LEAST_AGE_S, approaching
 from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.columns import column, described
-from dlgmd_cli.models.corridor import Motion, fastest
+from dlgmd_cli.models.corridor import Course, Motion, fastest, found, known
 from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.windows import Bounds, Camera
@@ -39,6 +39,9 @@ LEAST_SIDE = 20
 LEAST_RATE = 0.1
 # An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
 LEAST_QUALITY = 0.35
+# Points in the way are a witness for a rate of up to this multiple of the window's, which averages
+# what fills a part of it.
+MOST_GAIN = 2.5
 
 
 @described
@@ -48,10 +51,10 @@ class Measured:
 
     `expansion_quality` is the weight of the rates in the mean `expansion`, as a share of the weight
     of exact ones: 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the dark, and
-    where everything moves too fast. `ttc_s` is 1 / `corridor` where this is known; else
-    1 / `expansion`, or 1 / `approach` if this is less; minus the mean age of what the rate was
-    measured on. It is NaN where the rate is below `LEAST_RATE`, and without `corridor` where
-    `expansion` has a quality below `LEAST_QUALITY`.
+    where everything moves too fast. `ttc_s` is 1 / `corridor` where this is known; else one by the
+    fastest of `expansion`, `approach`, and the lesser of `points` and `MOST_GAIN` times
+    `expansion`; minus the mean age of what the rate was measured on. It is NaN where the rate is
+    below `LEAST_RATE`; an `expansion` with a quality below `LEAST_QUALITY` counts as 0.
     """
 
     expansion: float = column(
@@ -79,6 +82,11 @@ class Measured:
         "1/s",
         "1 / (time to contact) of [points in the drone's way](measurements.md#the-way); "
         "0 if nothing is, empty unless its motion is known and two looks have measured it",
+    )
+    points: float = column(
+        "1/s",
+        "the same where the motion is unknown: "
+        "[it is found in the image](measurements.md#the-second-witness)",
     )
 
 
@@ -136,7 +144,7 @@ class Expansion:
     `upright`. At constant speed, the time to contact was 1 / `expansion` when the rates had their
     mean age Σ w age / Σ w; `ttc_s` is less by this age. From images `LEAST_AGE_S` apart, `approach`
     is the rate of an object before a camera at rest, and `corridor`, if the drone's motion is
-    known, that of points in its way, see `fastest`: the lesser of the last two.
+    known, that of points in its way, see `fastest`: the lesser of the last two; else `points`.
 
     Parameters
     ----------
@@ -144,8 +152,8 @@ class Expansion:
         Whether bands of mains light are removed, see `Flicker`.
     camera : Camera
         The angles of the camera.
-    at_rest : bool
-        Whether objects that approach a camera at rest are measured; exported C does not.
+    looks_around : bool
+        Whether `approach`, `corridor` and `points` are measured; exported C does not.
 
     Examples
     --------
@@ -156,9 +164,9 @@ class Expansion:
     """
 
     def __init__(
-        self, *, deflicker: bool = True, camera: Camera | None = None, at_rest: bool = True
+        self, *, deflicker: bool = True, camera: Camera | None = None, looks_around: bool = True
     ) -> None:
-        self._deflickers, self._flicker, self._at_rest = deflicker, Flicker(), at_rest
+        self._deflickers, self._flicker, self._looks_around = deflicker, Flicker(), looks_around
         self._camera = camera or Camera()
         self._motion: Motion | None = None
         self._filling: Filling | None = None
@@ -172,10 +180,11 @@ class Expansion:
         self._ahead = _Mean()
         self._still: Grey | None = None
         self._still_motion: Motion | None = None
-        self._still_s, self._near, self._place = 0.0, 0.0, (0.0, 0.0)
-        # The last two rates in the way, and the time between them; none if the motion is unknown.
+        self._still_s, self._near = 0.0, 0.0
+        self._near_place = self._way_place = (0.0, 0.0)
+        # The last two rates in the way, and the time between them, and whether the motion is known.
         self._in_way: list[float] = []
-        self._between_s = 0.0
+        self._between_s, self._knows_motion = 0.0, False
         self._points_of: tuple[Bounds, Points] | None = None
         self._last_s = math.nan
 
@@ -233,7 +242,7 @@ class Expansion:
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
         ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
         self._ahead.add(ahead, age_s, step_s)
-        if self._at_rest:
+        if self._looks_around:
             self._look_around(grey, step_s, motion)
         return self._measured(window, grey.shape)
 
@@ -274,16 +283,22 @@ class Expansion:
 
     def _look(self, before: Grey, now: Grey, motion: Motion | None) -> None:
         """Measure what is in the way if the motion is known, else before a camera at rest."""
-        then = self._still_motion
-        if then is None or motion is None or not (then.has_way and motion.has_way):
-            growth, self._place = approaching(before, now, self._shown)
-            self._near, self._in_way = growth / self._still_s, []
-            return
-        age_s = self._still_s
-        rate, place = fastest(before, now, (then, motion), self._camera, age_s, self._shown)
-        self._near, self._between_s = 0.0, self._still_s
-        self._in_way = [] if math.isnan(rate) else [*self._in_way[-1:], rate]
-        self._place = place if rate > 0.0 else self._place
+        then, age_s = self._still_motion, self._still_s
+        course: Course | None
+        if then is not None and motion is not None and then.has_way and motion.has_way:
+            self._near, knows_motion = 0.0, True
+            course = known((then, motion), self._camera)
+        else:
+            growth, self._near_place = approaching(before, now, self._shown)
+            self._near, knows_motion = growth / age_s, False
+            course = found(before, now, self._camera, self._shown)
+        if knows_motion != self._knows_motion or course is None:
+            self._knows_motion, self._in_way = knows_motion, []
+        if course is not None:
+            rate, place = fastest(before, now, course, self._camera, age_s, self._shown)
+            self._between_s = age_s
+            self._in_way = [] if math.isnan(rate) else [*self._in_way[-1:], rate]
+            self._way_place = place if rate > 0.0 else self._way_place
 
     def _points(self, window: Bounds, shape: tuple[int, ...]) -> Points:
         """The points of the window ahead; made anew only where the window moves."""
@@ -297,17 +312,18 @@ class Expansion:
         left, top, right, bottom = window
         place = (left + right + 1.0) / shape[1] - 1.0, (top + bottom + 1.0) / shape[0] - 1.0
         best = rate if quality >= LEAST_QUALITY else 0.0
-        corridor = math.nan
-        if len(self._in_way) > 1:  # a single look may be wrong
-            corridor = min(self._in_way)
-            is_older = corridor < self._in_way[-1]
-            best, age_s = corridor, self._still_s + (self._between_s if is_older else 0.0)
-            place = self._place if corridor > 0.0 else place
+        in_way = min(self._in_way) if len(self._in_way) > 1 else math.nan  # one look may be wrong
+        corridor, points = (in_way, math.nan) if self._knows_motion else (math.nan, in_way)
+        witnessed = in_way if self._knows_motion else min(in_way, MOST_GAIN * best)
+        if not math.isnan(corridor) or witnessed > max(best, self._near):
+            is_older = in_way < self._in_way[-1]
+            best, age_s = witnessed, self._still_s + (self._between_s if is_older else 0.0)
+            place = self._way_place if witnessed > 0.0 else place
         elif self._near > best:
             # An object that approaches a camera at rest is measured as a whole.
-            best, age_s, place = self._near, self._still_s, self._place
+            best, age_s, place = self._near, self._still_s, self._near_place
         ttc_s = max(1.0 / best - age_s, 0.0) if best >= LEAST_RATE else math.nan
-        return Measured(rate, upright, quality, ttc_s, *place, self._near, corridor)
+        return Measured(rate, upright, quality, ttc_s, *place, self._near, corridor, points)
 
 
 def _is_copy(now: Grey, last: Grey, earlier: Grey, share: float) -> bool:

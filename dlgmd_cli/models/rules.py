@@ -11,7 +11,7 @@ from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.frame import Series
 from dlgmd_cli.models.base import blamed, number
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.models.expansion import LEAST_QUALITY
+from dlgmd_cli.models.expansion import LEAST_QUALITY, MOST_GAIN
 from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
@@ -26,7 +26,7 @@ _UNITS = {"ttc_s": " s", "expansion": "/s", "corridor": "/s"}
 # The lowest frame rate, in frames/s, at which the expansion has been measured against the truth.
 MIN_FPS = 7.5
 # What holds a signal below the raw rate, see `Ahead.limit`.
-GROUND, QUALITY, APPROACH = "ground", "quality", "approach"
+GROUND, QUALITY, APPROACH, POINTS = "ground", "quality", "approach", "points"
 # The edge of the image's middle third: distance from the centre, as a share of half a side.
 _THIRD = 1.0 / 3.0
 # T_MP if the parameters have T_MP = 0 or 1, for which no κ can be computed.
@@ -329,7 +329,9 @@ class Ahead(Rule, name="expansion"):
 
     The rate of what stands ahead is the lesser of the expansion and that of what stands upright,
     which leaves out level ground. Below `LEAST_QUALITY`, the rate counts in proportion to the
-    quality. An object that approaches a camera at rest has the same threshold.
+    quality. Where points in the way are measured, the lesser of their rate and `MOST_GAIN` times
+    that of what stands ahead takes its place. An object that approaches a camera at rest has the
+    same threshold.
     """
 
     column, key, quantity = "expansion", "expansion_alarm", "expansion"
@@ -338,6 +340,8 @@ class Ahead(Rule, name="expansion"):
     def value(self, row: Detection) -> float:
         """The larger of the rate ahead and `approach`."""
         ahead = self._rate_ahead(row) * min(row.expansion_quality / LEAST_QUALITY, 1.0)
+        if not math.isnan(row.points):
+            ahead = min(MOST_GAIN * ahead, row.points)
         return float(np.fmax(ahead, row.approach))
 
     def limit(self, row: Detection, signal: float) -> str:
@@ -346,6 +350,8 @@ class Ahead(Rule, name="expansion"):
             return ""
         if row.approach >= signal > 0.0:
             return APPROACH
+        if row.points == signal:
+            return POINTS
         share, quality = self._rate_ahead(row) / row.expansion, row.expansion_quality
         return GROUND if share < quality / LEAST_QUALITY else QUALITY
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.frame import runs_of
-from dlgmd_cli.models.rules import APPROACH, GROUND, QUALITY
+from dlgmd_cli.models.rules import APPROACH, GROUND, POINTS, QUALITY
 from dlgmd_cli.plots import style
 from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.names import threshold_text
@@ -51,7 +51,7 @@ _STRONGEST: style.Line = {**STRONG, "zorder": 2.5}
 _WEAK: style.Line = {"linewidth": 0.8}
 # Of what was measured, behind what the rule makes of it; and what shades what a rule holds back.
 _BEHIND: style.Line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 1.5}
-_HATCHES = {GROUND: "", QUALITY: "//////", APPROACH: "......"}
+_HATCHES = {GROUND: "", QUALITY: "//////", POINTS: "++++++", APPROACH: "......"}
 _BLIND_HATCH = "\\\\\\"
 # Height in inches of a row of marks at the foot of an axis.
 _MARKS_IN = 0.09

@@ -246,7 +246,7 @@ def test_flicker_is_removed_as_in_python(tmp_path):
     alarm = Alarm(
         SMALL,
         resize=False,
-        expansion=Expansion(camera=Camera(), deflicker=False, at_rest=False),
+        expansion=Expansion(camera=Camera(), deflicker=False, looks_around=False),
         times="capture",
     )
     plain = [alarm.step(frame, t / 30).expansion for t, frame in enumerate(frames)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm, DlgmdWarning, run
-from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest
+from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest, found, known
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import Camera
@@ -17,6 +17,7 @@ from dlgmd_cli.plots.traces import plot
 
 CAMERA, SHAPE, SPEED_M_S, AGE_S = Camera(), (135, 240), 2.0, 0.1
 LEVEL = Motion((0.0, 0.0), SPEED_M_S, 0.0, 0.0, 0.0)
+LEVELLY = known((LEVEL, LEVEL), CAMERA)
 
 
 def noise(seed):
@@ -70,7 +71,7 @@ def approach(distance_m, right_m=0.0, down_m=0.0, half_m=0.4, motions=(LEVEL, LE
         )
         for motion, further in zip(motions, (way, 0.0), strict=True)
     ]
-    return fastest(*images, told or motions, CAMERA, AGE_S)
+    return fastest(*images, known(told or motions, CAMERA), CAMERA, AGE_S)
 
 
 @pytest.mark.parametrize("distance_m", [1.5, 2.5, 3.0])
@@ -130,7 +131,7 @@ def test_a_repeated_pattern_does_not_approach():
         + rng.integers(0, 3, SHAPE).astype(np.uint8)
         for distance in (40.2, 40.0)
     ]
-    assert fastest(*images, (LEVEL, LEVEL), CAMERA, AGE_S)[0] < 0.2
+    assert fastest(*images, LEVELLY, CAMERA, AGE_S)[0] < 0.2
 
 
 def test_noise_does_not_approach():
@@ -139,14 +140,14 @@ def test_noise_does_not_approach():
         images = [
             np.uint8(cv2.GaussianBlur(rng.uniform(0, 255, SHAPE), (0, 0), 1.0)) for _ in range(2)
         ]
-        assert fastest(*images, (LEVEL, LEVEL), CAMERA, AGE_S) == NOTHING
+        assert fastest(*images, LEVELLY, CAMERA, AGE_S) == NOTHING
 
 
 def test_a_blank_image_does_not_say_that_nothing_is_in_the_way():
     blank, hidden = np.full(SHAPE, 90, np.uint8), np.zeros(SHAPE, np.bool_)
-    assert math.isnan(fastest(blank, blank, (LEVEL, LEVEL), CAMERA, AGE_S)[0])
+    assert math.isnan(fastest(blank, blank, LEVELLY, CAMERA, AGE_S)[0])
     wall = WALL[:135, :240]
-    assert math.isnan(fastest(wall, wall, (LEVEL, LEVEL), CAMERA, AGE_S, hidden)[0])
+    assert math.isnan(fastest(wall, wall, LEVELLY, CAMERA, AGE_S, hidden)[0])
 
 
 def test_a_tilted_camera_flies_below_its_axis():
@@ -156,7 +157,7 @@ def test_a_tilted_camera_flies_below_its_axis():
         seen(motion, [(WALL, (0, 0, 30.0), (25, 25)), (OBJECT, (0, 0, z), (0.4, 0.4))], 15.0)
         for z in (2.7, 2.5)
     ]
-    rate, (_, y) = fastest(*images, (motion, motion), camera, AGE_S)
+    rate, (_, y) = fastest(*images, known((motion, motion), camera), camera, AGE_S)
     assert rate == pytest.approx(0.8, rel=0.12) and y > 0.3
 
 
@@ -202,6 +203,58 @@ def test_without_a_whole_motion_there_is_no_way(told):
 def test_a_motion_that_is_lost_ends_the_rate():
     rows = flight(Expansion(), lambda k: LEVEL if k < 12 else None)
     assert rows[11].corridor > 0.0 and math.isnan(rows[-1].corridor)
+
+
+# Boards at several depths: texture, place and half sides.
+ROOM = [
+    (WALL, (0.0, 0.0, 12.0), (10.0, 10.0)),
+    (OBJECT, (-1.2, 0.3, 4.0), (0.7, 1.0)),
+    (OBJECT, (1.4, -0.2, 3.0), (0.5, 0.9)),
+    (OBJECT, (0.3, 0.1, 2.5), (0.4, 0.4)),
+]
+
+
+def moved(way, boards):
+    """The boards before the camera flew this way (right, down, forward; m)."""
+    return [(texture, tuple(np.add(place, way)), half) for texture, place, half in boards]
+
+
+@pytest.mark.parametrize(
+    ("direction", "turn"),
+    [((0, 0), (0, 0, 0)), ((0, 6), (0, 2, 0)), ((-5, 3), (2, -2, 4)), ((4, -4), (0, 0, -6))],
+)
+def test_the_direction_and_the_turn_are_found_in_the_image(direction, turn):
+    right, up = np.tan(np.radians(direction))
+    after = LEVEL._replace(roll_deg=turn[0], pitch_deg=turn[1], yaw_deg=turn[2])
+    before, now = seen(LEVEL, moved((0.2 * right, -0.2 * up, 0.2), ROOM)), seen(after, ROOM)
+    course = found(before, now, CAMERA)
+    assert course.direction == pytest.approx(direction, abs=1.5)
+    np.testing.assert_allclose(course.turn, known((LEVEL, after), CAMERA).turn, atol=0.005)
+    rate, _ = fastest(before, now, course, CAMERA, AGE_S)
+    assert rate == pytest.approx(0.8, rel=0.2)
+
+
+def test_no_course_is_found_where_nothing_can_be_tracked_or_where_it_leaves_the_image():
+    assert found(np.full(SHAPE, 90, np.uint8), np.full(SHAPE, 90, np.uint8), CAMERA) is None
+    image = seen(LEVEL, ROOM)
+    assert found(image, image, CAMERA, np.zeros(SHAPE, np.bool_)) is None
+    assert found(image, image, Camera(tilt_deg=60.0)) is None
+
+
+def test_without_the_motion_points_are_a_second_witness():
+    rows = flight(Expansion(), lambda k: None)
+    rates = [row.points for row in rows]
+    assert all(math.isnan(rate) for rate in rates[:7]) and np.isfinite(rates[7:]).all()
+    true_s = (3.5 - 2.0 * 19 / 30) / 2.0
+    assert 1.0 / rates[-1] == pytest.approx(true_s, rel=0.25)
+    assert rows[-1].expansion < 0.6 * rates[-1]
+    assert rows[-1].ttc_s < 0.7 / rows[-1].expansion
+
+
+def test_a_motion_that_comes_or_goes_begins_anew():
+    rows = flight(Expansion(), lambda k: LEVEL if k < 12 else None, 22)
+    assert all(math.isnan(row.points) for row in rows[:16]) and rows[-1].points > 0.0
+    assert all(math.isnan(row.corridor) for row in rows[15:])
 
 
 def test_the_rule_compares_the_way_and_else_the_window():

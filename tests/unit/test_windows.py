@@ -121,6 +121,23 @@ def test_an_expansion_of_low_quality_counts_less():
     assert [row.signal_limit for row in rows] == ["", "", *["quality"] * 3, "approach"]
 
 
+def test_points_in_the_way_are_a_second_witness():
+    """Their rate counts, up to 2.5 times that of the window; an approach needs no witness."""
+    rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
+    cases = [
+        (0.3, 0.6, 0),
+        (0.3, 9, 0),
+        (0.1, 9, 0),
+        (0.7, 0.2, 0),
+        (0.7, 0, 0.6),
+        (0.6, math.nan, 0),
+    ]
+    rows = [rule.step(ahead(e, points=points, approach=near)) for e, points, near in cases]
+    assert [row.signal for row in rows] == pytest.approx([0.6, 0.75, 0.25, 0.2, 0.6, 0.6])
+    assert [row.alarm for row in rows] == [True, True, False, False, True, True]
+    assert [row.signal_limit for row in rows] == ["", "", "", "points", "approach", ""]
+
+
 def test_what_grows_twice_as_fast_down_as_across_is_ground():
     """A plane ahead counts in full, a pole too, which grows across alone; ground not at all."""
     rule = Ahead(replace(parameters_of(load_config("flight")), expansion_alarm=0.5))
