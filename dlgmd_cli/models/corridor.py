@@ -152,7 +152,7 @@ def found(before: Grey, now: Grey, camera: Camera, shown: Flags | None = None) -
     right_deg, up_deg = np.degrees(np.arctan(foe * (1.0, -1.0))).tolist()
     if camera.window(now.shape, (right_deg, up_deg)) is None:
         return None
-    turn = np.asarray(cv2.Rodrigues(-turns)[0])
+    turn = np.asarray(cv2.Rodrigues(-turns)[0], np.float64)
     return Course((right_deg, up_deg), USUAL_M_S, turn, precision, 0)
 
 

@@ -42,6 +42,9 @@ LEAST_QUALITY = 0.35
 # Points in the way are a witness for a rate of up to this multiple of the window's, which averages
 # what fills a part of it.
 MOST_GAIN = 2.5
+# Points that are faster than the window by less than this factor are on what fills it: the fastest
+# of many points are a little too fast.
+LEAST_GAIN = 1.3
 
 
 @described
@@ -52,9 +55,10 @@ class Measured:
     `expansion_quality` is the weight of the rates in the mean `expansion`, as a share of the weight
     of exact ones: 1/2 for a standard error of `ERROR`; near 0 on a blank wall, in the dark, and
     where everything moves too fast. `ttc_s` is 1 / `corridor` where this is known; else one by the
-    fastest of `expansion`, `approach`, and the lesser of `points` and `MOST_GAIN` times
-    `expansion`; minus the mean age of what the rate was measured on. It is NaN where the rate is
-    below `LEAST_RATE`; an `expansion` with a quality below `LEAST_QUALITY` counts as 0.
+    faster of `expansion` and `approach`, or by `points` if these are faster by `LEAST_GAIN` or
+    more, but at most `MOST_GAIN` times `expansion`; minus the mean age of what the rate was
+    measured on. It is NaN where the rate is below `LEAST_RATE`; an `expansion` with a quality below
+    `LEAST_QUALITY` counts as 0.
     """
 
     expansion: float = column(
@@ -315,7 +319,7 @@ class Expansion:
         in_way = min(self._in_way) if len(self._in_way) > 1 else math.nan  # one look may be wrong
         corridor, points = (in_way, math.nan) if self._knows_motion else (math.nan, in_way)
         witnessed = in_way if self._knows_motion else min(in_way, MOST_GAIN * best)
-        if not math.isnan(corridor) or witnessed > max(best, self._near):
+        if not math.isnan(corridor) or witnessed > max(LEAST_GAIN * best, self._near):
             is_older = in_way < self._in_way[-1]
             best, age_s = witnessed, self._still_s + (self._between_s if is_older else 0.0)
             place = self._way_place if witnessed > 0.0 else place
