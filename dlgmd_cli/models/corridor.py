@@ -29,9 +29,10 @@ from dlgmd_cli.models.windows import Camera, Direction
 BESIDE_M, BELOW_M = 0.45, 0.3
 # A slower drone has no way, in m/s.
 LEAST_M_S = 0.5
-# Points are tracked as far from the direction as they can be in the way at this rate (1/s), but at
-# most this far. Neighbours are STEP_PX apart, or so much further that MOST_OUT reach the edge.
-FASTEST, FARTHEST_DEG, STEP_PX, MOST_OUT = 1.2, 24.0, 3.0, 16
+# Points are tracked as far from the direction as they can be in the way at this rate (1/s), where
+# the motion is known and where it is not, but at most this far. Neighbours are STEP_PX apart, or so
+# much further that MOST_OUT reach the edge.
+FASTEST, FASTEST_FOUND, FARTHEST_DEG, STEP_PX, MOST_OUT = 1.2, 1.0, 24.0, 3.0, 16
 # Other points, so many along the sides of the image, tell how the camera turned, and more of them
 # where the drone flies.
 N_TURN, N_FOUND = 7, (14, 8)
@@ -116,6 +117,8 @@ class Course(NamedTuple):
         Inverse covariance (1/rad²) of the turns about the three axes and of the direction.
     n_turn : int
         Columns and rows of points over the whole image that tell more of both.
+    fastest : float
+        The rate (1/s) at which all points in the way are tracked.
     """
 
     direction: Direction
@@ -123,13 +126,14 @@ class Course(NamedTuple):
     turn: _Numbers
     prior: _Numbers
     n_turn: int
+    fastest: float
 
 
 def known(motions: tuple[Motion, Motion], camera: Camera) -> Course:
     """The course of a drone that tells its speed and attitude at two images."""
     then, now = motions
     turn = now.axes(camera.tilt_deg) @ then.axes(camera.tilt_deg).T
-    return Course(then.direction, then.speed_m_s, turn, _prior(*KNOWN), N_TURN)
+    return Course(then.direction, then.speed_m_s, turn, _prior(*KNOWN), N_TURN, FASTEST)
 
 
 def found(before: Grey, now: Grey, camera: Camera, shown: Flags | None = None) -> Course | None:
@@ -153,7 +157,7 @@ def found(before: Grey, now: Grey, camera: Camera, shown: Flags | None = None) -
     if camera.window(now.shape, (right_deg, up_deg)) is None:
         return None
     turn = np.asarray(cv2.Rodrigues(-turns)[0], np.float64)
-    return Course((right_deg, up_deg), USUAL_M_S, turn, precision, 0)
+    return Course((right_deg, up_deg), USUAL_M_S, turn, precision, 0, FASTEST_FOUND)
 
 
 def fastest(
@@ -241,7 +245,7 @@ class _Way:
         self.view[:2, 2] = self._axis
         self.foe = np.tan(np.radians(course.direction)) * (1.0, -1.0)
         self._per_m = 1.0 / course.speed_m_s
-        reach = min(BESIDE_M * self._per_m * FASTEST, math.tan(math.radians(FARTHEST_DEG)))
+        reach = min(BESIDE_M * self._per_m * course.fastest, math.tan(math.radians(FARTHEST_DEG)))
         self._step = STEP_PX * math.ceil(reach * self.focal / STEP_PX / MOST_OUT)
         self._n_out = math.ceil(reach * self.focal / self._step)
         side = np.arange(-self._n_out, self._n_out + 1)
