@@ -1,5 +1,6 @@
 """`live`: watch a camera, a stream, a pipe, or a file at its own pace, and raise alarms."""
 
+import math
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -15,7 +16,6 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
-from dlgmd_cli.parameters.keys import in_degrees
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
@@ -372,7 +372,7 @@ def _alarm(setup: Setup) -> Alarm:
 def _source(source: str, setup: Setup, reading: InputOptions, chosen: LiveOptions) -> LiveSource:
     """The source, not yet reading; raises ParameterError if there is none of this name."""
     size, name = chosen.input_size, without_password(source)
-    if in_degrees(setup.params) and reading.fps is None:
+    if math.isinf(setup.model_fps) and reading.fps is None:
         reading = replace(reading, fps="all")
     shots: Callable[[], Generator[Shot, None, None]]
     is_played = source == "-" or chosen.realtime

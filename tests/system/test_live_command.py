@@ -261,15 +261,12 @@ def test_a_closed_standard_output_is_one_that_nobody_reads():
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_service_manager_ends_it_with_0_and_the_last_messages(number):
     """The end of an alarm that is on is told."""
-    frames = looming_frames(50, 64, 48)
     arguments = ("-", "--input-size", "64x48", "--fps", "all", "--set", 3, "--jsonl", "--events")
     with live(*arguments, stdin=subprocess.PIPE, bufsize=0) as process:
         lines = lines_of(process)
-        for frame in frames:
-            process.stdin.write(frame.tobytes())
-            time.sleep(1 / 60)
-        assert next(one for one in lines if one["event"] == "begin")
-        process.send_signal(number)
+        with fed(process):
+            assert next(one for one in lines if one["event"] == "begin")
+            process.send_signal(number)
         rest = [one["event"] for one in lines]
         assert process.wait(PATIENCE_S) == 0 and rest[-1] == "end"
         assert b"Interrupted" not in process.stderr.read()

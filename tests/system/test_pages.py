@@ -3,12 +3,14 @@
 import csv
 import os
 import shutil
+import time
 
 import numpy as np
 import pytest
 from browsing import Reader
 from click.testing import CliRunner
 from conftest import result_of_level
+from watching import PATIENCE_S
 
 from dlgmd_cli.commands.app import cli
 
@@ -151,6 +153,17 @@ def index_file(indexed, tmp_path):
     return tmp_path / "web/all.html"
 
 
+def open_video(reader, link):
+    """Follow a link of an index to a video. The browser may be late with the index's mark."""
+    reader.follow(link)
+    reader.until("plot._fullLayout !== undefined")
+    until_s = time.monotonic() + PATIENCE_S
+    while not reader.page.evaluate("isGathered()"):
+        assert time.monotonic() < until_s
+        reader.page.reload()
+        reader.until("plot._fullLayout !== undefined")
+
+
 def open_index(browser, path, **look):
     reader = Reader(browser, f"file://{path}", allowed=("file:",), **look)
     reader.asked = []
@@ -164,8 +177,7 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     reader = open_index(browser, index_file)
     page = reader.page
     assert page.is_disabled("#save") and "No labels" in page.text_content("#summary")
-    reader.follow("text=a, b.mp4")
-    reader.until("plot._fullLayout !== undefined && isGathered()")
+    open_video(reader, "text=a, b.mp4")
     page.keyboard.press("End")
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("l")
@@ -208,7 +220,7 @@ def test_labels_that_are_known_keep_their_words(browser, index_file, runs, tmp_p
     runs(*made, "--overwrite")
     reader = open_index(browser, index_file)
     page = reader.page
-    reader.follow("text=c.mp4")
+    open_video(reader, "text=c.mp4")
     page.keyboard.press("End")
     page.keyboard.press("l")
     page.fill("#label-list input", "gate")
@@ -317,7 +329,7 @@ def test_hostile_names(browser, runs, tmp_path):
     reader = Reader(browser, f"file://{tmp_path}/all.html", allowed=("file:",))
     page = reader.page
     page.on("dialog", lambda dialog: (reader.faults.append("dialog"), dialog.dismiss()))
-    reader.follow(".name a")
+    open_video(reader, ".name a")
     assert page.text_content("h1") == name
     page.keyboard.press("l")
     page.fill("#label-list input", name)
@@ -334,7 +346,7 @@ def test_labels_are_moved_removed_and_restored(browser, index_file, runs, tmp_pa
     runs(*made, "--overwrite")
     reader = open_index(browser, index_file)
     page = reader.page
-    reader.follow("text=a, b.mp4")
+    open_video(reader, "text=a, b.mp4")
 
     def shown():
         """The user's, then those of the table."""
