@@ -40,8 +40,10 @@ if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# Fewer examples than usual, and no deadline, which a busy machine misses.
-settings.register_profile("quick", max_examples=40, deadline=None)
+# Fewer examples than usual, the same in each run: what a change breaks is not a matter of luck. No
+# deadline, which a busy machine misses. `--hypothesis-profile=search` looks for new ones.
+settings.register_profile("quick", max_examples=40, derandomize=True, deadline=None)
+settings.register_profile("search", max_examples=1000, deadline=None)
 settings.load_profile("quick")
 
 
