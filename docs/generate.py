@@ -54,7 +54,7 @@ def _save_picture(made: Path, path: Path) -> None:
     while True:
         picture.thumbnail((width, picture.height), Image.Resampling.LANCZOS)
         coded = io.BytesIO()
-        picture.quantize(160).save(coded, "PNG", optimize=True)
+        picture.quantize(160, kmeans=2).save(coded, "PNG", optimize=True)
         if coded.tell() <= MAX_BYTES:
             return path.write_bytes(coded.getvalue())
         width = int(0.9 * width)

@@ -40,16 +40,17 @@ class Alarm:
         As for `run`: the number of a set, the name of a preset or a model, a class, parameters, or
         a YAML file. The default is the preset `flight`.
     resize : bool
-        Reduce wider frames to `width_px`, as `dlgmd run` does. With False, frames keep their size.
+        Reduce wider frames to `width_px`, as `dlgmd run` does. With False, and for a model in
+        degrees, frames keep their size.
     width_px, model_fps : int, float, optional
         Frame width (px) and rate (frames/s) that the parameters are designed for. The default comes
         from the file or from the model's published values: 240 px for `flight`, 480 px for the
         paper's sets, and 30 frames/s. Slower frames cause one warning.
     all_frames : bool
-        Process all frames; faster frames than `model_fps` cause one warning. With False, only every
-        k-th of faster frames is processed, as by `dlgmd run`, once their rate is known (after 1 s,
-        with ``times="capture"`` after 10 intervals); a skipped frame gets the answer to the last
-        processed frame.
+        Process all frames; faster frames than `model_fps` cause one warning. A model in degrees
+        always does. With False, only every k-th of faster frames is processed, as by `dlgmd run`,
+        once their rate is known (after 1 s, with ``times="capture"`` after 10 intervals); a skipped
+        frame gets the answer to the last processed frame.
     repeats : {"keep", "skip"}
         Treatment of a frame that equals the one before: `keep` passes it to the model, as `run`
         does with arrays, `skip` returns the previous response.
@@ -111,9 +112,8 @@ class Alarm:
             StreamClock(self._model_fps) if times == "arrival" else None,
         )
         self.model = create_model(self.params)
-        camera = _camera(config, fov, camera_tilt)
-        self._expansion = expansion or Expansion(camera=camera)
-        self.model.look(camera)
+        self._expansion = expansion or Expansion(camera=_camera(config, fov, camera_tilt))
+        self.model.look(self._expansion.camera)
         self._health = Health()
         self._session = Session([self.model], self._expansion, health=self._health)
         (self.rule,) = self._session.rules
@@ -176,7 +176,7 @@ class Alarm:
         self._expansion.head(motion if is_known else None)
 
     def look(self, camera: Camera) -> None:
-        """Measure the expansion with another camera from now on."""
+        """Take the angles of another camera from now on."""
         self._expansion.look(camera)
         self.model.look(camera)
 
@@ -307,12 +307,10 @@ class Alarm:
         # Duplicates do not make a camera faster, and a still scene does not make it slower.
         came_fps = _N_INTERVALS / (times_s[-1] - times_s[0])
         new_fps = came_fps * (1.0 - repeats[1:].mean())
-        unfit = ""
-        if in_degrees(self.params):
-            pass  # its latencies are in ms
-        elif new_fps > _OTHER_RATE * self._model_fps:
+        unfit, is_any_fit = "", in_degrees(self.params)
+        if not is_any_fit and new_fps > _OTHER_RATE * self._model_fps:
             unfit = f"{new_fps:.3g} a second, but {{}}; leave some out"
-        elif came_fps < self._model_fps / _OTHER_RATE:
+        elif not is_any_fit and came_fps < self._model_fps / _OTHER_RATE:
             unfit = f"{came_fps:.3g} a second, but {{}}; an approach looks faster than it is"
         made_for = f"the parameters are made for {self._model_fps:g}"
         lines = {

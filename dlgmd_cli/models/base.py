@@ -335,6 +335,11 @@ class CustomModel(Model):
         with self._blamed("reset"):
             self.model.reset()
 
+    def look(self, camera: Camera) -> None:
+        """Take the angles of the camera, see `Model.look`."""
+        with self._blamed("look"):
+            self.model.look(camera)
+
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells, see `Model.ignore`."""
         with self._blamed("ignore"):

@@ -15,12 +15,9 @@ from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.kernels import Connections, resized, shares
 from dlgmd_cli.models.receptors import aligned
 from dlgmd_cli.models.windows import Camera
-from dlgmd_cli.parameters.keys import DEGREES
+from dlgmd_cli.parameters.keys import DEGREES, FRAME_S, PX_DEG
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
-# A pixel and a frame of the paper's camera: "1 px/frame is equivalent to 9 degrees/s in a 120
-# degrees, 30 frame rate camera", [Zhao2023] Fig. 11. Over its 400 px, the pixels are 0.3 degrees.
-PX_DEG, FRAME_S = 0.3, 1.0 / 30.0
 # A step between frames within this share of FRAME_S counts as FRAME_S.
 _SAME_STEP = 0.02
 
@@ -61,6 +58,11 @@ class DegreesDLGMD(DLGMD):
     def look(self, camera: Camera) -> None:
         """Take the angles of the camera, see `Model.look`."""
         self._camera, self._shape = camera, (0, 0)
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Ignore some cells, see `Model.ignore`."""
+        super().ignore(hidden)
+        self._shape = (0, 0)
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
@@ -138,11 +140,6 @@ class DegreesDLGMD(DLGMD):
         if self.receptors.hidden is not None:
             solid[self.receptors.hidden] = 0.0
         self._weights = np.float32(solid * ((solid > 0.0).sum() / solid.sum()))
-
-    def ignore(self, hidden: Flags | None) -> None:
-        """Ignore some cells, see `Model.ignore`."""
-        super().ignore(hidden)
-        self._shape = (0, 0)
 
     def _averaged(self, luminance: FloatImage) -> FloatImage:
         """The luminance averaged over a pixel of the paper's camera, if that is the larger one."""

@@ -91,8 +91,9 @@ class DLGMD(Model):
     def __init__(self, params: DlgmdParameters | None = None) -> None:
         self.params = checked_params(params, self.params_class)
         if self.params.units != self.units:
-            why = f"{type(self).__name__} has {self.units}, not units = {self.params.units}"
-            raise ParameterError("", why, "Write create_model(params): no other class has degrees.")
+            why = f"the class {type(self).__name__} works in {self.units}, not {self.params.units}"
+            hint = "In degrees, there are dlgmd and dlgmd-onoff alone, in Python by create_model()."
+            raise ParameterError("", why, hint)
         self.receptors = Photoreceptors(0, self.polarities)
         self._prepared_for: tuple[tuple[int, ...], float] | None = None
 

@@ -159,7 +159,7 @@ class Expansion:
         self, *, deflicker: bool = True, camera: Camera | None = None, at_rest: bool = True
     ) -> None:
         self._deflickers, self._flicker, self._at_rest = deflicker, Flicker(), at_rest
-        self._camera = camera or Camera()
+        self.camera = camera or Camera()
         self._motion: Motion | None = None
         self._filling: Filling | None = None
         self._shown: Flags | None = None
@@ -189,7 +189,7 @@ class Expansion:
 
     def look(self, camera: Camera) -> None:
         """Measure with another camera from now on, see the class."""
-        self._camera = camera
+        self.camera = camera
 
     def head(self, motion: Motion | None) -> None:
         """Measure around a direction of flight from now on; None for the camera's default.
@@ -224,10 +224,10 @@ class Expansion:
             return Measured()
         motion, window = self._motion, None
         if motion is not None:
-            window = self._camera.window(grey.shape, motion.direction)
+            window = self.camera.window(grey.shape, motion.direction)
         if window is None:
             # The image does not show where the drone flies: the default direction holds.
-            motion, window = None, self._camera.window(grey.shape)
+            motion, window = None, self.camera.window(grey.shape)
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
@@ -280,7 +280,7 @@ class Expansion:
             self._near, self._in_way = growth / self._still_s, []
             return
         age_s = self._still_s
-        rate, place = fastest(before, now, (then, motion), self._camera, age_s, self._shown)
+        rate, place = fastest(before, now, (then, motion), self.camera, age_s, self._shown)
         self._near, self._between_s = 0.0, self._still_s
         self._in_way = [] if math.isnan(rate) else [*self._in_way[-1:], rate]
         self._place = place if rate > 0.0 else self._place

@@ -16,7 +16,7 @@ from dlgmd_cli.models.health import UNMEASURED
 from dlgmd_cli.models.normalise import absolute, excitation_at
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.facts import Json
-from dlgmd_cli.parameters.keys import RULES, KnownRule, Parameters, changed, in_degrees
+from dlgmd_cli.parameters.keys import FRAME_S, RULES, KnownRule, Parameters, changed, in_degrees
 
 # A place in the image, x and y from -1 (left, top) to 1; NaN where undefined.
 ImagePoint = tuple[float, float]
@@ -34,10 +34,9 @@ _T_MP = 0.4
 # The rate of what stands ahead, and that of points in the way, times the true time to contact:
 # medians of rendered collisions.
 RATE_TIMES_TIME, IN_WAY_TIMES_TIME = 0.52, 0.85
-# Frames a second of the paper's camera; spikes may be earlier by this share of a frame.
-_PAPER_FPS, _EARLY = 30.0, 0.1
-# The lowest frame rate for a model in degrees, in frames/s.
-_DEGREES_FPS = 20.0
+# The lowest frame rate for a model in degrees, in frames/s; its spikes in a row may be earlier by
+# this share of a frame.
+_DEGREES_MIN_FPS, _EARLY = 24.0, 0.1
 # Digits of a calibrated threshold.
 _DIGITS = 4
 
@@ -274,7 +273,7 @@ class Spikes(Rule, name="spikes"):
         self._lasting_s = 0.0
         if in_degrees(params):
             self.n_in_a_row, self._compares_level, self.scored = 1, True, "signal"
-            self._lasting_s = (params.n_sp - 1 - _EARLY) / _PAPER_FPS
+            self._lasting_s = (params.n_sp - 1 - _EARLY) * FRAME_S
         self.reset()
 
     def reset(self) -> None:
@@ -295,7 +294,7 @@ class Spikes(Rule, name="spikes"):
     def text(self) -> str:
         """The rule in words."""
         if in_degrees(self.params):
-            lasting = f"for {1e3 * (self.params.n_sp - 1) / _PAPER_FPS:.0f} ms"
+            lasting = f"for {1e3 * (self.params.n_sp - 1) * FRAME_S:.0f} ms"
             return f"spikes: {lasting}, at an MP of {self.threshold:g} or more"
         return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
 
@@ -443,8 +442,9 @@ def too_slow(rule: Rule, time_s: Series) -> str:
     # A median without NumPy's `median`, which would import masked arrays.
     intervals_s = np.sort(np.diff(time_s))
     rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
-    if in_degrees(rule.params) and rate_fps < _DEGREES_FPS - 0.1:
-        return f"{rate_fps:.3g} frames/s: a model in degrees misses approaches below 20 frames/s"
+    if in_degrees(rule.params) and rate_fps < _DEGREES_MIN_FPS - 0.1:
+        needs = f"a model in degrees needs {_DEGREES_MIN_FPS:g} frames/s"
+        return f"{rate_fps:.3g} frames/s: {needs}, and may miss an approach"
     if not rule.uses_expansion or rate_fps >= MIN_FPS - 0.1:
         return ""
     return (

@@ -27,8 +27,10 @@ _RESERVED = RECORD_KEYS.union(
 # The package of the models of the field, one module each.
 PUBLISHED_MODELS = "dlgmd_cli.models.published"
 
-# The units of the D-LGMD: px and frames of the video, or of the paper's camera, 0.3° and 1/30 s.
+# The units of the D-LGMD: px and frames of the video, or of the paper's camera. "1 px/frame is
+# equivalent to 9 degrees/s in a 120 degrees, 30 frame rate camera", [Zhao2023] Fig. 11.
 PIXELS, DEGREES = "pixels", "degrees"
+PX_DEG, FRAME_S = 0.3, 1.0 / 30.0
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 

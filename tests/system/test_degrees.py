@@ -1,9 +1,13 @@
 """The first spike of set 9 through other lenses, at other sizes and rates: a rendered square."""
 
 import math
+import subprocess
+from itertools import islice, pairwise
+from statistics import median
 
 import numpy as np
 import pytest
+from watching import fed, lines_of, live
 
 from dlgmd_cli import load_set
 from dlgmd_cli.models.base import create_model
@@ -110,3 +114,13 @@ def test_dropped_frames_and_a_slow_camera_lose_time():
     late_s = [usual_s - first_spike_s(USUAL, "plain", 2.0, left_out=(n,)) for n in range(4)]
     assert min(late_s) >= -1e-6 and max(late_s) <= 3 * FRAME_S + 1e-6
     assert math.isnan(first_spike_s((15, 80, 480), "plain", 2.0))
+
+
+@pytest.mark.parametrize(("options", "least_step"), [((), 2), (("--physical",), 1)])
+def test_live_takes_every_frame(options, least_step):
+    """Of a camera of 60 frames/s, once its rate is known."""
+    arguments = ("-", "--input-size", "64x48", "--set", 9, "--jsonl", *options)
+    with live(*arguments, stdin=subprocess.PIPE, bufsize=0) as process, fed(process):
+        lines = (one["frame"] for one in lines_of(process) if one["latency_ms"] is not None)
+        frames = [*islice(lines, 200)][-50:]
+    assert median(b - a for a, b in pairwise(frames)) == least_step

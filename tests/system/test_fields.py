@@ -6,30 +6,14 @@ import cv2
 import numpy as np
 import pytest
 from conftest import write_video, yaml_of
+from interlaced import at, woven
 
 import dlgmd_cli
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video
 
-HEIGHT, WIDTH, N = 480, 320, 24
-RNG = np.random.default_rng(5)
-GROUND = cv2.GaussianBlur(RNG.integers(0, 256, (HEIGHT, 1200), np.uint8), (0, 0), 3.0)
-GROUND = cv2.normalize(GROUND, None, 20, 235, cv2.NORM_MINMAX)
-
-
-def at(x_px):
-    """What a camera sees that has turned by so many px."""
-    return GROUND[:, x_px : x_px + WIDTH]
-
-
-def woven(first, second):
-    """The even lines of an image and the odd ones of another."""
-    picture = first.copy()
-    picture[1::2] = second[1::2]
-    return picture
-
-
+N = 24
 WHOLE = [at(6 * t) for t in range(N)]
 WOVEN = [woven(at(6 * t), at(6 * t + 3)) for t in range(N)]
 

@@ -242,6 +242,14 @@ def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, own):
     assert model.n_cells == 4 * 32 and response.mp <= 4 * 32
 
 
+def test_a_model_learns_the_angles_of_the_camera(clips, own, monkeypatch):
+    seen = []
+    monkeypatch.setattr(own.Fast, "look", lambda self, camera: seen.append(camera))
+    dlgmd_cli.run(clips / "loom.avi", model=own.Fast, fov=60)
+    dlgmd_cli.Alarm(own.Fast, fov=70, camera_tilt=5)
+    assert [(one.fov_deg, one.tilt_deg) for one in seen] == [(60, 0), (70, 5)]
+
+
 def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
     three, kind = parameters.load_set(3), parameters.find_model("mymodel:Variant")
     assert dlgmd_cli.DLGMD.params_class is parameters.MODELS["dlgmd"] is not kind
@@ -251,6 +259,10 @@ def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
     runs("run", clips / "loom.avi", "--model", "mymodel:Variant", "--set", 3)
     refused = dlgmd("run", clips / "loom.avi", *FAST, "--set", 3)
     assert refused.exit_code == 2 and "--set works only with the D-LGMD" in refused.stderr
+    refused = dlgmd(
+        "run", clips / "loom.avi", "--model", "mymodel:Variant", "--physical", "--overwrite"
+    )
+    assert refused.exit_code == 2 and "Variant works in pixels, not degrees" in refused.stderr
 
 
 @pytest.mark.parametrize(

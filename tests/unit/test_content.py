@@ -1,27 +1,10 @@
 """A comb, as interlaced video has it, is seen, and no other pattern is taken for one."""
 
-import cv2
 import numpy as np
 import pytest
+from interlaced import GROUND, HEIGHT, RNG, WIDTH, at, woven
 
 from dlgmd_cli.video.content import has_comb
-
-HEIGHT, WIDTH, N = 480, 320, 24
-RNG = np.random.default_rng(5)
-GROUND = cv2.GaussianBlur(RNG.integers(0, 256, (HEIGHT, 1200), np.uint8), (0, 0), 3.0)
-GROUND = cv2.normalize(GROUND, None, 20, 235, cv2.NORM_MINMAX)
-
-
-def at(x_px):
-    """What a camera sees that has turned by so many px."""
-    return GROUND[:, x_px : x_px + WIDTH]
-
-
-def woven(first, second):
-    """The even lines of an image and the odd ones of another."""
-    picture = first.copy()
-    picture[1::2] = second[1::2]
-    return picture
 
 
 def test_a_comb_is_seen_where_fields_differ():

@@ -8,11 +8,12 @@ import pytest
 from conftest import write_video
 
 import dlgmd_cli
-from dlgmd_cli import Alarm, load_set, run
+from dlgmd_cli import Alarm, load_set, read_result, run
 from dlgmd_cli.errors import FrameError, ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.kernels import resized, shares
 from dlgmd_cli.models.rules import rule_of, too_slow
 from dlgmd_cli.models.windows import Camera
@@ -30,11 +31,14 @@ def random_images(n, seed=0):
     return np.kron(squares, np.ones((7, 7))).astype(np.float32)[:, :height, :width].copy()
 
 
-def potentials(images, times_s, camera=None):
+def responses(images, times_s, camera=None):
     model = create_model(WEAK)
     model.look(camera or Camera(FOV_DEG))
-    steps = zip(images, times_s, strict=True)
-    return [model.step(image, float(time_s)).mp for image, time_s in steps]
+    return [model.step(image, float(t)) for image, t in zip(images, times_s, strict=True)]
+
+
+def potentials(*args):
+    return [response.mp for response in responses(*args)]
 
 
 def overlap(a, b, c, d):
@@ -67,7 +71,7 @@ def correlated(image, weights, first):
 
 
 def slow_reference(images, params):
-    """K of four images 1/30 s apart, from the text of the model, without its code."""
+    """K and FFI of four images 1/30 s apart, from the text of the model, without its code."""
     s = SHAPE[1] / 2 / math.tan(math.radians(FOV_DEG / 2)) * math.radians(0.3)
     side = math.ceil(s)
     box = [overlap(i - 0.5, i + 0.5, -s / 2, s / 2) / s for i in range(-side, side + 1)]
@@ -94,15 +98,16 @@ def slow_reference(images, params):
     y, x = ((np.arange(n) - (n - 1) / 2) / focal for n in SHAPE)
     solid = (1 + x**2 + y[:, None] ** 2) ** -1.5
     solid /= solid.mean()
-    t_de = min((p[1] * solid).mean() * params.t0 / params.m, 0.3)
-    return float((np.where(g >= t_de, np.minimum(g, 1), 0) * solid).sum())
+    ffi = (p[1] * solid).sum()
+    t_de = min(ffi / p[1].size * params.t0 / params.m, 0.3)
+    return (np.where(g >= t_de, np.minimum(g, 1), 0) * solid).sum(), ffi
 
 
 def test_the_response_is_that_of_the_slow_reference():
     images = random_images(4)
-    *early, found = potentials(images, STEP_S * np.arange(4))
-    assert np.isnan(early).all() and found > 1.0
-    assert found == pytest.approx(slow_reference(images, WEAK), rel=1e-5)
+    *early, found = responses(images, STEP_S * np.arange(4))
+    assert not any(response.is_valid for response in early) and found.mp > 1.0
+    assert (found.mp, found.ffi) == pytest.approx(slow_reference(images, WEAK), rel=1e-5)
 
 
 def test_a_camera_of_the_papers_pixels_has_the_papers_connections():
@@ -134,15 +139,14 @@ def test_frames_between_those_of_the_papers_camera_change_nothing():
 
 def test_between_two_steps_the_root_is_interpolated():
     images = random_images(7)
-    # 45 frames/s: steps of 22 and 44 ms; half-way to the longer one.
-    by_one, by_two = (
-        potentials(some, STEP_S * np.arange(4))[-1] for some in (images[3:], images[::2])
-    )
-    found = potentials(images, np.arange(7) / 45.0)[-1]
-    assert (
-        found == pytest.approx((0.5 * by_one**0.5 + 0.5 * by_two**0.5) ** 2, rel=1e-5)
-        and by_one > 1.0
-    )
+    # 50 frames/s: steps of 20 and 40 ms, a third and two thirds of the way apart.
+    one, two = (responses(some, STEP_S * np.arange(4))[-1] for some in (images[3:], images[::2]))
+    found = responses(images, np.arange(7) / 50.0)[-1]
+    assert found.mp == pytest.approx((one.mp**0.5 / 3 + two.mp**0.5 * 2 / 3) ** 2, rel=1e-5)
+    for name in ("p_sum", "s_sum"):
+        between = getattr(one, name) / 3 + getattr(two, name) * 2 / 3
+        assert getattr(found, name) == pytest.approx(between, rel=1e-5)
+    assert one.mp > 1.0 and found.ffi == two.ffi  # of the nearer step
 
 
 def test_a_missing_image_is_interpolated_and_a_slow_camera_is_told():
@@ -152,7 +156,7 @@ def test_a_missing_image_is_interpolated_and_a_slow_camera_is_told():
     without = potentials(images[[0, 1, 3]], STEP_S * np.array([0, 1, 3]))[-1]
     assert without == pytest.approx(whole, rel=1e-4) and whole > 1.0
     rule = rule_of(SET)
-    assert "below 20 frames/s" in too_slow(rule, np.arange(9) / 15.0)
+    assert "needs 24 frames/s" in too_slow(rule, np.arange(9) / 20.0)
     assert too_slow(rule, np.arange(9) / 24.0) == ""
 
 
@@ -200,6 +204,28 @@ def test_every_frame_has_a_response_at_its_own_size(tmp_path):
     alarm = Alarm(SET, fov=60)
     answers = [alarm.step(frame, k / 120.0) for k, frame in enumerate(frames)]
     assert answers[-1].mp == pytest.approx(result.mp[-1])
+
+
+def test_the_camera_of_an_alarm_is_that_of_its_expansion():
+    images = random_images(4)
+    far, near = Camera(FOV_DEG), Camera(3 * FOV_DEG)
+    alarm = Alarm(WEAK, expansion=Expansion(camera=near))
+    found = [[alarm.step(image, STEP_S * t).mp for t, image in enumerate(images)][-1]]
+    alarm.reset()
+    alarm.look(far)
+    found += [[alarm.step(image, STEP_S * t).mp for t, image in enumerate(images)][-1]]
+    wanted = [potentials(images, STEP_S * np.arange(4), camera)[-1] for camera in (near, far)]
+    assert found == pytest.approx(wanted) and wanted[0] != pytest.approx(wanted[1])
+
+
+def test_a_preset_of_ones_own_names_its_units(dlgmd, tmp_path):
+    (tmp_path / "own.yaml").write_text("set: 6\nunits: degrees\n")
+    write_video(tmp_path / "x.avi", [np.full((30, 700), 8 * k, np.uint8) for k in range(9)])
+    assert dlgmd("run", "x.avi", "--config", "own.yaml", "--fov", 60, "--out", "o").exit_code == 0
+    assert dlgmd("run", "x.avi", "--set", 6, "--physical", "--fov", 60, "--out", "p").exit_code == 0
+    one, other = (read_result(f"{out}/x") for out in "op")
+    assert one.record["processed"]["width"] == 700 and np.array_equal(one.mp, other.mp, True)
+    assert one.params == other.params == load_set(6, units="degrees")
 
 
 def test_what_has_no_degrees_says_so(dlgmd):
