@@ -126,80 +126,82 @@ def fastest(
     and `DIRECTION_RAD` as priors. Their covariance is in the standard error of each q. A point is
     in the way of a drone with the speed v if the distance r v / q is at most `BESIDE_M`.
     """
-    way = _Way(motions[0], camera, now.shape)
-    turn = way.view @ motions[1].axes(camera.tilt_deg) @ motions[0].axes(camera.tilt_deg).T
-    turn = turn @ np.linalg.inv(way.view)
-    turned = cv2.warpPerspective(
-        now, turn, now.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    )
-    at_rest = cv2.boxFilter(cv2.absdiff(before, turned), cv2.CV_32F, PATCH_WH)
-    points = np.concatenate((way.points, _spread(now.shape)))
-    usable = _usable(points, now.shape, shown)
-    usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
-    if np.count_nonzero(usable) < 2 * MIN_POINTS:
-        return UNKNOWN
-    there, reached, differs = tracked_near(before, turned, points[usable])
-    kept = np.flatnonzero(usable)[reached]
-    if len(kept) < 2 * MIN_POINTS:
-        return UNKNOWN
-    points, there = points[kept], there[reached]
-    column, row = np.rint(points).astype(np.intp).T
-    moved = differs[reached] + NOISE_LEVELS < BETTER * (at_rest[row, column] + NOISE_LEVELS)
-    moved &= kept < len(way.points)
-    sight = _sight(way.on_plane(points), way.on_plane(there), way.foe, way.focal)
-    moved &= sight.moves_away
-    moved[moved] = returns(before, turned, points[moved], there[moved])
-    return way.reached(points, sight, moved, age_s)
+    way = Way(motions[0], camera, now.shape)
+    found = way.seen(before, now, motions, age_s, shown)
+    return UNKNOWN if found is None else way.fastest(*found)
 
 
-class _Way:
-    """The points around the direction of flight, and which of them are in the drone's way.
+class Way:
+    """Points around the direction of flight, and which of them are in the drone's way.
 
-    Attributes
-    ----------
-    view : ndarray, shape (3, 3)
-        From directions to px.
-    foe : ndarray, shape (2,)
-        The direction of flight on the plane at the distance 1.
-    points : ndarray, shape (n, 2)
+    `motion` is the drone's when the earlier of two images of the `shape` (H, W) is taken; their
+    points are a grid of neighbours around the direction, and some over the whole image.
     """
 
     def __init__(self, motion: Motion, camera: Camera, shape: tuple[int, ...]) -> None:
-        self.focal, self._shape = camera.focal(shape[1]), shape
+        self._focal, self._shape, self._tilt_deg = camera.focal(shape[1]), shape, camera.tilt_deg
         self._axis = np.array(camera.axis(shape))
-        self.view = np.diag((self.focal, self.focal, 1.0))
-        self.view[:2, 2] = self._axis
-        self.foe = np.tan(np.radians(motion.direction)) * (1.0, -1.0)
+        # From directions to px; and the direction of flight on the plane at the distance 1.
+        self._view = np.diag((self._focal, self._focal, 1.0))
+        self._view[:2, 2] = self._axis
+        self._foe = np.tan(np.radians(motion.direction)) * (1.0, -1.0)
         self._per_m = 1.0 / motion.speed_m_s
         reach = min(BESIDE_M * self._per_m * FASTEST, math.tan(math.radians(FARTHEST_DEG)))
-        self._step = STEP_PX * math.ceil(reach * self.focal / STEP_PX / MOST_OUT)
-        self._n_out = math.ceil(reach * self.focal / self._step)
+        self._step = STEP_PX * math.ceil(reach * self._focal / STEP_PX / MOST_OUT)
+        self._n_out = math.ceil(reach * self._focal / self._step)
         side = np.arange(-self._n_out, self._n_out + 1)
         cells = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         cells = cells[np.hypot(*cells.T) <= self._n_out]
-        self._middle = self._axis + self.focal * self.foe
-        self.points: Points = np.float32(self._middle + self._step * cells)
+        self._middle = self._axis + self._focal * self._foe
+        self._points: Points = np.float32(self._middle + self._step * cells)
 
-    def on_plane(self, points: Points) -> _Numbers:
-        """Places in px, on the plane at the distance 1."""
-        return (points - self._axis) / self.focal
+    def seen(
+        self,
+        before: Grey,
+        now: Grey,
+        motions: tuple[Motion, Motion],
+        age_s: float,
+        shown: Flags | None = None,
+    ) -> tuple[Points, _Numbers] | None:
+        """The points in the way, in px of the earlier image, (n, 2), and their rates in 1/s, (n,).
 
-    def reached(
-        self, points: Points, sight: "_Sight", counts: Flags, age_s: float
-    ) -> tuple[float, tuple[float, float]]:
-        """The rate of the fastest group of neighbours in the way, and its place."""
-        away = self.on_plane(points) - sight.foe
-        away[:, 1] *= np.where(away[:, 1] > 0.0, BESIDE_M / BELOW_M, 1.0)
-        rate = (sight.growth - sight.error) / age_s
-        is_in_way = np.hypot(*away.T) <= BESIDE_M * self._per_m * rate
-        counts = counts & is_in_way & (sight.error <= MOST_ERROR * age_s)
-        cells = np.rint((points - self._middle) / self._step).astype(np.intp) + self._n_out
-        counts &= np.all((cells >= 0) & (cells <= 2 * self._n_out), axis=1)
-        if np.count_nonzero(counts) < SUPPORT:
+        For the arguments, see the function `fastest`. None if too few points can be tracked.
+        """
+        turn = motions[1].axes(self._tilt_deg) @ motions[0].axes(self._tilt_deg).T
+        turn = self._view @ turn @ np.linalg.inv(self._view)
+        turned = cv2.warpPerspective(
+            now, turn, now.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        )
+        at_rest = cv2.boxFilter(cv2.absdiff(before, turned), cv2.CV_32F, PATCH_WH)
+        points = np.concatenate((self._points, _spread(now.shape)))
+        usable = _usable(points, now.shape, shown)
+        usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
+        if np.count_nonzero(usable) < 2 * MIN_POINTS:
+            return None
+        there, reached, differs = tracked_near(before, turned, points[usable])
+        kept = np.flatnonzero(usable)[reached]
+        if len(kept) < 2 * MIN_POINTS:
+            return None
+        points, there = points[kept], there[reached]
+        column, row = np.rint(points).astype(np.intp).T
+        moved = differs[reached] + NOISE_LEVELS < BETTER * (at_rest[row, column] + NOISE_LEVELS)
+        moved &= kept < len(self._points)
+        sight = _sight(self._on_plane(points), self._on_plane(there), self._foe, self._focal)
+        moved &= sight.moves_away
+        moved[moved] = returns(before, turned, points[moved], there[moved])
+        rates = (sight.growth - sight.error) / age_s
+        counts = moved & (sight.error <= MOST_ERROR * age_s)
+        counts &= self._is_in_way(points, rates, sight.foe)
+        return points[counts], rates[counts]
+
+    def fastest(self, points: Points, rates: _Numbers) -> tuple[float, tuple[float, float]]:
+        """The rate that `SUPPORT` neighbours of the points in the way reach, and their place."""
+        if len(points) < SUPPORT:
             return NOTHING
-        rates = np.zeros((2 * self._n_out + 3,) * 2)
-        rates[cells[counts, 1] + 1, cells[counts, 0] + 1] = rate[counts]
-        blocks = np.lib.stride_tricks.sliding_window_view(rates, (3, 3))
+        column, row = np.rint((points - self._middle) / self._step).astype(np.intp).T + self._n_out
+        grid_rates = np.zeros((2 * self._n_out + 3,) * 2)
+        grid_rates[row + 1, column + 1] = rates
+        blocks = np.lib.stride_tricks.sliding_window_view(grid_rates, (3, 3))
         reached = np.partition(blocks.reshape(*blocks.shape[:2], 9), -SUPPORT)[..., -SUPPORT]
         row, column = np.unravel_index(np.argmax(reached), reached.shape)
         if not reached[row, column] > 0.0:
@@ -208,6 +210,16 @@ class _Way:
         height, width = self._shape
         place = (2.0 * x + 1.0) / width - 1.0, (2.0 * y + 1.0) / height - 1.0
         return float(reached[row, column]), place
+
+    def _on_plane(self, points: Points) -> _Numbers:
+        """Places in px, on the plane at the distance 1."""
+        return (points - self._axis) / self._focal
+
+    def _is_in_way(self, points: Points, rates: _Numbers, foe: _Numbers) -> Flags:
+        away = self._on_plane(points) - foe
+        away[:, 1] *= np.where(away[:, 1] > 0.0, BESIDE_M / BELOW_M, 1.0)
+        is_in_way: Flags = np.hypot(*away.T) <= BESIDE_M * self._per_m * rates
+        return is_in_way
 
 
 def _spread(shape: tuple[int, ...]) -> Points:
