@@ -23,8 +23,9 @@ from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.plots.style import BLUE, VERMILION
 
 STATIC = Path(__file__).parent / "_static"
-# Every third of 30 frames/s, and the last one for longer.
-FPS, EVERY, PAUSE_MS, END_MS = 30.0, 3, 100, 2500
+# Every third of 30 frames/s after the first second. The last one comes first, and stays for longer:
+# a page that does not play films shows how the flight ends.
+FPS, FIRST, EVERY, PAUSE_MS, END_MS = 30.0, 30, 3, 100, 2500
 FOV_DEG, MEASURED_WH, SHOWN_WH, LINE_PX = 80.0, (240, 135), (480, 270), 36
 
 
@@ -122,9 +123,9 @@ def palette() -> Image.Image:
 def write(pictures: Iterator[BgrImage], path: Path) -> None:
     """Write a GIF."""
     images = [Image.fromarray(cv2.cvtColor(one, cv2.COLOR_BGR2RGB)) for one in pictures]
-    colours, shown = palette(), [*images[:-1:EVERY], images[-1]]
+    colours, shown = palette(), [images[-1], *images[FIRST:-1:EVERY]]
     frames = [one.quantize(palette=colours, dither=Image.Dither.NONE) for one in shown]
-    times = [*[PAUSE_MS] * (len(frames) - 1), END_MS]
+    times = [END_MS, *[PAUSE_MS] * (len(frames) - 1)]
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0)
 
 
