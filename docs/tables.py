@@ -37,11 +37,11 @@ def parameters() -> str:
     rows = []
     for key, spec in kind.specs().items():
         default = kind.defaults()[key]
-        values = [_shown(values.get(key, default)) for values in given]
-        other = "; ".join(dict.fromkeys(values)) if {*values} != {_shown(default)} else ""
-        rows.append([f"`{key}`", spec.symbol, spec.unit, _shown(default), other, spec.meaning])
-    names = "; ".join(f"`{name}`" for name in presets)
-    return table(["key", "symbol", "unit", "default", names, "meaning"], rows)
+        others = [values.get(key, default) for values in given]
+        cells = ["" if value == default else _shown(value) for value in others]
+        rows.append([f"`{key}`", spec.symbol, spec.unit, _shown(default), *cells, spec.meaning])
+    names = [f"`{name}`" for name in presets]
+    return table(["key", "symbol", "unit", "default", *names, "meaning"], rows)
 
 
 def sets() -> str:
@@ -109,7 +109,7 @@ def references(group: str) -> str:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     paper = {
         **citation["preferred-citation"],
-        "notes": "Implemented: D-LGMD, Tables I to IV, Figs. 1 to 17.",
+        "notes": "Implemented: D-LGMD, the paper whose tables and figures these pages name.",
     }
     own = [one for one in (paper, *citation["references"]) if one["notes"].startswith(group)]
     notes = [one["notes"].partition(": ")[2].rstrip(".") for one in own]

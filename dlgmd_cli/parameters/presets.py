@@ -89,7 +89,7 @@ class DlgmdParameters(Parameters):
     kappa: float = key(0.0028, "κ", "–", KAPPA, 1e-9, 100)
     formulation: str = key(
         "default",
-        meaning="whose latency, limits and FFI: ours, a code's, the paper's",
+        meaning="latency, limits and FFI of our default, an authors' code or the paper",
         choices=FORMULATIONS,
     )
     latency: str = key(
@@ -108,7 +108,7 @@ class DlgmdParameters(Parameters):
     )
     units: str = key(
         PIXELS,
-        meaning="px and frames are the video's, or 0.3 degrees and 1/30 s",
+        meaning="pixels: the video's px and frames; degrees: 0.3 degrees and 1/30 s",
         choices=(PIXELS, DEGREES),
     )
 

@@ -61,11 +61,11 @@ class EmdLplc2(dlgmd_cli.Model):
 
     These are the authors' values for videos (zhaojunyu01/EMD-LPLC2-GF-model, part 7), which they
     reduce to a quarter; their first tests need four branches above 2 (n_branches=4, t_branch=2,
-    t_inward=2). Their fibre stays at -80 mV for good once it falls there.
+    t_inward=2). Their fibre never leaves -80 mV once it falls there.
 
     The benchmark (MingshuoXu/BiSTS) turns convolution into correlation, so that a branch looks at
-    the other side: it counts cells with inward motion, of receding objects. Its v is that after the
-    reset, and leaves -80 mV again.
+    the opposite side: it counts cells with inward motion, of receding objects. Its v is that after
+    the reset, and leaves -80 mV again.
     """
 
     params_class = EmdLplc2Parameters

@@ -36,7 +36,7 @@ class CascadeParameters(dlgmd_cli.Parameters):
 
 
 class Lgmd1Lgmd2(dlgmd_cli.Model):
-    """The cascade of [Li2023]: an LGMD2 sees what changes in the layer S of an LGMD1.
+    """The cascade of [Li2023]: an LGMD2 sees the changes in the layer S of an LGMD1.
 
     With grey levels L, zero outside the frame, `NEIGHBOURS` N, a Gaussian H of 7x7 cells, and the
     low-pass D[x](t) = 0.2 x(t) + 0.5 D[x](t-1) + 0.3 D[x](t-2); for ON (+) and OFF (-)::

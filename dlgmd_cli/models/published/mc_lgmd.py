@@ -44,8 +44,8 @@ class McLGMD(dlgmd_cli.Model):
 
     This is the authors' code (fuqinbing/harmonizing-motion-and-contrast-vision-for-looming-
     detection), which mirrors the frame at its border without repeating the outermost cells. The
-    benchmark (MingshuoXu/BiSTS, `LGMD_P_ON_OFF`) has zeros beyond the border, and keeps the wrong
-    half of OFF: R- = -min(S- - C, 0).
+    benchmark (MingshuoXu/BiSTS, `LGMD_P_ON_OFF`) has zeros beyond the border, and keeps the
+    negative part of OFF instead of the positive: R- = -min(S- - C, 0).
     """
 
     params_class = McLGMDParameters

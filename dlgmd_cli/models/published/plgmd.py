@@ -47,8 +47,8 @@ class PLGMD(dlgmd_cli.Model):
 
     The two masks of E are drawn as one of p². This is the authors' code (fuqinbing/pLGMD): p1 =
     p2 = 1 / (1 + exp(0)), t_s = 15 / 0.15, and P(t) is 0 before the third frame. As p1 + p2 = 1,
-    two thirds of each change stay in P for good, and with them the response to what has moved: on
-    the benchmark's receding squares, MP goes to 1 and stays there.
+    two thirds of each change in P never decay, so that the response goes on after an object has
+    moved: on the benchmark's receding squares, MP goes to 1 and stays there.
 
     The benchmark (MingshuoXu/BiSTS, `pLGMD`) has p1 = 1 / (1 + e), p2 = 1 / (1 + e²) and t_s = 30,
     and P from the second frame on: its changes decay. A run is repeated exactly by its seed;

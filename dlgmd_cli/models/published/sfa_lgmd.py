@@ -34,7 +34,7 @@ class SfaLGMDParameters(dlgmd_cli.Parameters):
 
 
 class SfaLGMD(dlgmd_cli.Model):
-    """The LGMD of [Fu2018]: only a response that rises faster and faster does not adapt.
+    """The LGMD of [Fu2018]: the response adapts unless its rise accelerates.
 
     With grey levels L, zero outside the frame, `NEIGHBOURS` w, the frames' interval Δ in ms, and
     D[X] = Σ w (a X(t) + (1 - a) X(t-1)) with a = Δ / (Δ + τ) by the distance of the cell::
