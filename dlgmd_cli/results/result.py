@@ -512,14 +512,14 @@ class Result(Outcome):
             attenuation = f"{summary['median_attenuation_db']:.2f} dB"
         model = self.params.model
         frames = "{} at {width}x{height}".format(frames_text(self.record), **processed)
-        frames += "" if self.complete else ", not the whole input"
+        times = "{:.3f} to {:.3f} s".format(*self.time_s[[0, -1]])
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list, self.rule)),
             *self.silences.items(),
-            ("frames", frames),
+            ("frames", frames if self.complete else f"{frames}, only {times} of the input"),
             *self._camera(),
             ("peak MP", peak),
             ("spikes", spikes),

@@ -231,7 +231,8 @@ def test_complete_says_whether_all_of_the_input_was_used(clips, options, is_whol
     result = dlgmd_cli.run(clips / "loom.avi", 3, **options)
     assert (result.complete, result.interrupted) == (is_whole, False)
     ((_, rows),) = result.shown()
-    assert ("not the whole input" in dict(rows)["frames"]) != is_whole
+    part = f", only {result.time_s[0]:.3f} to {result.time_s[-1]:.3f} s of the input"
+    assert dict(rows)["frames"].endswith(part) != is_whole
 
 
 def test_a_part_of_a_video_is_done_and_says_so(runs, clips):
