@@ -1,5 +1,7 @@
 """Tables of names that the pages read from the code, as Markdown."""
 
+from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -53,14 +55,23 @@ def sets() -> str:
     return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
 
 
+def _list(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Names with notes and a meaning; neighbours that differ by their names alone share a line."""
+    lines = []
+    for (notes, meaning), same in groupby(rows, key=lambda row: row[1:]):
+        names = ", ".join(f"`{name}`" for name, *_ in same)
+        lines.append(f"- {names}{notes}: {meaning}")
+    return "\n".join(lines)
+
+
 def files(record: str) -> str:
     """The files of a record, with what they hold: a list."""
-    lines = []
+    rows = []
     for one in FILES[record]:
         first, *others = one.names(one.formats)
         more = f" (or {', '.join(one.formats[1:])})" if others else ""
-        lines.append(f"- `{first}`{more}: {one.meaning}")
-    return "\n".join(lines)
+        rows.append((first, more, one.meaning))
+    return _list(rows)
 
 
 def columns(of: str) -> str:
@@ -68,14 +79,14 @@ def columns(of: str) -> str:
 
     Beside the unit stand the files, unless a column of a run is in mp.csv alone.
     """
-    lines = []
+    rows = []
     for one in columns_of(AlarmSpan) if of == "alarm" else COLUMNS:
         files = "all files" if one.tables == PER_FRAME else ", ".join(one.tables)
         is_plain = of == "alarm" or files == "mp.csv"
         notes = [note for note in (one.unit, "" if is_plain else files) if note not in ("–", "")]
         beside = f" ({', '.join(notes)})" if notes else ""
-        lines.append(f"- `{one.name}`{beside}: {one.meaning}")
-    return "\n".join(lines)
+        rows.append((one.name, beside, one.meaning))
+    return _list(rows)
 
 
 def rules() -> str:

@@ -26,6 +26,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 
 # Relative rounding of single precision.
 _ROUNDING = 2.0**-23
+_CENTROID = "centroid of the active cells, from −1 (left, top) to 1; empty if none is active"
 # The layers P, S and G of a frame, each (H, W) float32, and further fields of `Response`.
 Answer = tuple[FloatImage, FloatImage, FloatImage, Mapping[str, Any]]
 
@@ -56,20 +57,14 @@ class Response:
         Further numbers of the model, by the names in `Model.columns`.
     """
 
-    p_sum: float = column(
-        "–", "sum of the absolute values of the layer P, in the model's unit", ATTENUATION
-    )
-    s_sum: float = column(
-        "–", "sum of the absolute values of the layer S, in the model's unit", ATTENUATION
-    )
+    p_sum: float = column("model's unit", "sum of the layer P's absolute values", ATTENUATION)
+    s_sum: float = column("model's unit", "the same of the layer S", ATTENUATION)
     mp: float = column("–", "[membrane potential](words.md) (MP), K, Eq. (13)")
-    ffi: float = column("model's", "feed-forward inhibition, Eq. (12)")
-    t_de: float = column("model's", "the threshold of G that `ffi` sets, Eq. (11)")
+    ffi: float = column("model's unit", "feed-forward inhibition, Eq. (12)")
+    t_de: float = column("model's unit", "threshold of the layer G, which `ffi` sets, Eq. (11)")
     layers: Layers | None = None
-    g_x: float = column(
-        "–", "centroid of the active cells, from −1 (left) to 1; empty if no cell is active"
-    )
-    g_y: float = column("–", "the same, from −1 (top) to 1")
+    g_x: float = column("–", _CENTROID)
+    g_y: float = column("–", _CENTROID)
     more: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod

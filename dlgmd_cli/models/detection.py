@@ -49,37 +49,41 @@ class Detection(Measured, Response):
 
     frame: int = column("–", "number in the input, from 0", *TABLES, kind=int, default=-1)
     time_s: float = column("s", "time of the frame, from the decoder", *TABLES)
-    mp_abs: float = column("–", "the MP on a fixed scale, 0–1 ([words](words.md))")
-    level: float = column("–", "the normalised MP that determines spikes", SPIKES)
+    mp_abs: float = column("–", "the MP on a [fixed scale](words.md#the-model), 0 to 1")
+    level: float = column(
+        "–", "normalised MP: `mp_abs`, or with `--normalise sequence` `mp_seq`", SPIKES
+    )
     spike: bool = column("0, 1", "whether the frame is a spike", SPIKES, kind=bool, default=False)
     signal: float = column(
         "1/s, s or –",
-        "what the rule compares with its threshold: the rate of what is ahead (`expansion`), the "
-        "time to contact (`ttc`) or the normalised MP (`spikes`)",
+        "what the rule compares with its threshold: a rate, the time to contact (`ttc`) or the "
+        "normalised MP (`spikes`)",
     )
     signal_limit: str = column(
         "–",
-        "what holds `signal` below the raw rate: `ground` (the image grows less across than down), "
-        "`quality` (the rate is uncertain), `approach` (the rate is that of an object that "
-        "approaches a camera at rest); empty for nothing",
+        "what holds `signal` below `expansion`: [`ground`, `quality` or "
+        "`approach`](questions.md#why-is-there-no-alarm-here); empty for nothing",
         kind=str,
         default="",
     )
     alarm: bool = column("0, 1", "whether the alarm is on", MP, SPIKES, kind=bool, default=False)
     repeat: bool = column(
-        "0, 1", "whether the row is a copy; 0 in the warm-up", *TABLES, kind=bool, default=False
+        "0, 1",
+        "whether the row is a copy; 0 before the model's first response",
+        *TABLES,
+        kind=bool,
+        default=False,
     )
     gap: bool = column(
         "0, 1",
-        "whether frames are missing before it, so that the model began anew",
+        "whether the model began anew, since frames are missing before this one",
         kind=bool,
         default=False,
     )
     blind: str = column(
         "–",
-        "why a collision would raise no alarm: `unmeasured` if `expansion_quality` has been below "
-        "0.25 for 0.7 s, with a rule that uses the expansion; in `live`, also another reason of "
-        "[Health](live.md#health); empty for none, and during an alarm",
+        "why a collision would raise no alarm: [`unmeasured`](measurements.md#unmeasured), or in "
+        "`live` another [reason](live.md#health); empty for none, and during an alarm",
         kind=str,
         default="",
     )
@@ -93,7 +97,7 @@ COLUMNS = (
     Column(
         "attenuation_db",
         "dB",
-        "10 lg(ΣS/ΣP); `-inf` at −69 dB and less, the rounding of float32; drawn at −60",
+        "10 log10(ΣS/ΣP); `-inf` from −69 dB down (float32 rounding), drawn at −60",
         (ATTENUATION,),
     ),
 )
@@ -153,20 +157,20 @@ def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
 class AlarmSpan:
     """An alarm: its times, strength and place in the image; a row of alarms.csv."""
 
-    start_frame: int = column("–", "frame that raises the alarm", ALARMS, kind=int, default=0)
+    start_frame: int = column("–", "first frame of the alarm", ALARMS, kind=int, default=0)
     start_s: float = column("s", "its time", ALARMS)
-    end_frame: int = column("–", "last frame at which the alarm is on", ALARMS, kind=int, default=0)
+    end_frame: int = column("–", "last frame of the alarm", ALARMS, kind=int, default=0)
     end_s: float = column("s", "its time", ALARMS)
     peak_signal: float = column(
         "1/s, s or –",
-        "strongest `signal` of the alarm: the greatest, with the rule `ttc` the least",
+        "greatest `signal`; with the rule `ttc`, the least",
         ALARMS,
     )
     peak_mp_abs: float = column(
-        "–", "greatest `mp_abs`; empty if it is over before the model has a response", ALARMS
+        "–", "greatest `mp_abs`; empty if the alarm ends before the model responds", ALARMS
     )
-    g_x: float = column("–", "centroid of the active cells as it is raised", ALARMS)
-    g_y: float = column("–", "the same", ALARMS)
+    g_x: float = column("–", "centroid of the active cells as the alarm begins", ALARMS)
+    g_y: float = column("–", "centroid of the active cells as the alarm begins", ALARMS)
     side: str = column(
         "–",
         "image region: `left`, `ahead` (centre) or `right`, and `high` (upper) or `low` (lower)",
@@ -174,10 +178,10 @@ class AlarmSpan:
         kind=str,
         default="",
     )
-    ttc_s: float = column("s", "estimated time to contact as it is raised", ALARMS)
+    ttc_s: float = column("s", "estimated time to contact as the alarm begins", ALARMS)
     rule: str = column(
         "–",
-        "the rule, by its name",
+        "name of the rule",
         ALARMS,
         kind=str,
         default=SPIKES_RULE,

@@ -39,6 +39,7 @@ LEAST_SIDE = 20
 LEAST_RATE = 0.1
 # An expansion of less quality is too uncertain for a time to contact, and counts less for an alarm.
 LEAST_QUALITY = 0.35
+_CENTRE = "centre of the region that expands, from −1 (left, top) to 1"
 
 
 @described
@@ -57,28 +58,26 @@ class Measured:
     expansion: float = column(
         "1/s",
         "expansion rate in the [window](measurements.md#the-window) ahead; negative if the image "
-        "shrinks, empty if nothing can be measured",
+        "shrinks, empty if it cannot be measured",
     )
-    expansion_upright: float = column(
-        "1/s", "the same of what stands upright: less than `expansion` over ground"
-    )
+    expansion_upright: float = column("1/s", "the same, without what level ground adds")
     expansion_quality: float = column(
         "–",
-        "how well the window was tracked, from 0 to 1, not how true the rate is; "
+        "precision of `expansion`, 0 to 1 (a precise rate may be wrong); "
         "[1/2](model.md#expansion-rate-and-time-to-contact) for a standard error of 0.2/s",
     )
     ttc_s: float = column(
         "s", "estimated time to contact; empty below an expansion of 0.1/s or a quality of 0.35"
     )
-    expansion_x: float = column("–", "centre of the region that expands, from −1 (left) to 1")
-    expansion_y: float = column("–", "the same, from −1 (top) to 1")
+    expansion_x: float = column("–", _CENTRE)
+    expansion_y: float = column("–", _CENTRE)
     approach: float = column(
         "1/s", "expansion rate of an object that approaches a camera at rest; 0 if none does"
     )
     corridor: float = column(
         "1/s",
-        "1 / (time to contact) of [points in the drone's way](measurements.md#the-way); "
-        "0 if nothing is, empty unless its motion is known and two looks have measured it",
+        "1 / (time to contact) of the [points in the drone's way](measurements.md#the-way); "
+        "0 if there are none, empty if the drone's motion is unknown",
     )
 
 

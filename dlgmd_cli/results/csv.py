@@ -38,8 +38,10 @@ _DTYPES = {int: np.int64, float: np.float64, bool: np.bool_, str: "U16"}
 # to the whole result. A column is an attribute of `Result`.
 COLUMNS = (
     *detection.COLUMNS,
-    Column("mp_seq", "–", "the MP on the per-video min–max scale of the paper's figures"),
-    Column("threshold", "–", "the threshold of the normalised MP at which spikes begin", (SPIKES,)),
+    Column(
+        "mp_seq", "–", "the MP from the video's minimum (0) to its maximum (1), as in the paper"
+    ),
+    Column("threshold", "–", "normalised MP at which spikes begin", (SPIKES,)),
 )
 KNOWN = frozenset(one.name for one in COLUMNS)
 _TEXTS = frozenset(one.name for one in COLUMNS if one.kind is str)

@@ -79,7 +79,7 @@ FILES: dict[str, tuple[File, ...]] = {
             "write_frames",
         ),
         File(ALARMS, "begin, end and image region of each alarm", "write_alarms"),
-        *(_figure(kind, f"the figure of `{kind}.csv`, with alarms") for kind in DRAWN),
+        *(_figure(kind, "figure of the table of that name, with alarms") for kind in DRAWN),
         File(
             "alarms",
             "the alarms as captions, which a player shows over the video",
