@@ -199,7 +199,7 @@ def require_followed(params: Parameters, threshold: float | None = None) -> None
         why = f"{speed} and {argument('threshold')} exclude each other"
         raise ParameterError("", why, "Give one of them.")
     if not rule_of(params).follows_speed:
-        why = f"{speed} works only with the rules expansion and ttc"
+        why = f"{speed} works only with the rules expansion, corridor and ttc"
         raise ParameterError("", why, f"Add {argument('alarm', 'expansion')}.")
 
 

@@ -333,7 +333,7 @@ def test_a_threshold_is_an_argument_wherever_it_is_an_option(mine, planes):
     for options, why in (
         ({"threshold": -1}, "threshold: expansion_alarm = -1"),
         ({"threshold": 1, "speed_m_s": 2}, "speed_m_s and threshold exclude each other"),
-        ({"speed_m_s": 2, "model": 9}, "speed_m_s works only with the rules expansion and ttc"),
+        ({"speed_m_s": 2, "model": 9}, "speed_m_s works only with the rules expansion, corridor"),
         ({"threshold": 1, "alarm": mine}, "the rule mine:Both has no threshold"),
     ):
         with pytest.raises(ParameterError, match=why):
