@@ -27,6 +27,7 @@ SOURCES = {
     "the code": "numbers that the code defines, or that follow from them by a formula",
     "the paper": "printed by Zhao et al. (2023)",
     "dlgmd evaluate": "printed by that command, and copied",
+    "dlgmd run": "read from the tables that it writes",
     "dlgmd lab paper": "printed by that command, and copied",
     "dlgmd lab bench": "printed by that command, and copied",
     "dlgmd lab fly": "flights that it renders, scored by `dlgmd evaluate`, and copied",
