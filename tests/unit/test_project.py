@@ -101,7 +101,7 @@ def test_the_readme_on_an_index_leads_to_the_repository(monkeypatch):
         raw, page = (f"{here}{name}/HEAD/" if here else "" for name in ("raw", "blob"))
         assert f"![Membrane potential of set 9 with its spikes and the alarm]({raw}docs/" in text
         assert f'srcset="{raw}docs/_static/' in text and f'<img src="{raw}docs/' in text
-        assert f"[Questions]({page}docs/questions.md)" in text
+        assert f"[questions]({page}docs/questions.md)" in text
         assert not here or not re.search(r'\]\((docs|sample)|(src|srcset)="docs', text)
 
 
