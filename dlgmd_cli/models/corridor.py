@@ -118,7 +118,7 @@ def fastest(
 
     Notes
     -----
-    The later image is turned back by the attitude, so that far points stay where they are. With
+    The later image is turned back, see `turned`, so that far points stay where they are. With
     the place z = (x, y) of a point, the direction f, r = |z - f| and the move d, all on the plane
     at the distance 1, the point reaches the camera at the rate q / t, with q = d·(z - f) / r² and
     the time t between the images. Remaining turns ω and an error of the direction are found from
@@ -131,6 +131,23 @@ def fastest(
     return UNKNOWN if found is None else way.fastest(*found)
 
 
+def turned(
+    before: Motion | None, now: Motion | None, camera: Camera, shape: tuple[int, ...]
+) -> _Numbers | None:
+    """Where far points of an image go as the drone turns until a later one: a homography, (3, 3).
+
+    From places in px of the earlier image to those in the later one; both have the `shape` (H, W).
+    None if the attitude at one of them is unknown.
+    """
+    if before is None or now is None or not (before.is_whole and now.is_whole):
+        return None
+    turn = now.axes(camera.tilt_deg) @ before.axes(camera.tilt_deg).T
+    view = np.diag((camera.focal(shape[1]),) * 2 + (1.0,))
+    view[:2, 2] = camera.axis(shape)
+    found: _Numbers = view @ turn @ np.linalg.inv(view)
+    return found
+
+
 class Way:
     """Points around the direction of flight, and which of them are in the drone's way.
 
@@ -139,11 +156,9 @@ class Way:
     """
 
     def __init__(self, motion: Motion, camera: Camera, shape: tuple[int, ...]) -> None:
-        self._focal, self._shape, self._tilt_deg = camera.focal(shape[1]), shape, camera.tilt_deg
+        self._camera, self._shape, self._focal = camera, shape, camera.focal(shape[1])
         self._axis = np.array(camera.axis(shape))
-        # From directions to px; and the direction of flight on the plane at the distance 1.
-        self._view = np.diag((self._focal, self._focal, 1.0))
-        self._view[:2, 2] = self._axis
+        # The direction of flight on the plane at the distance 1.
         self._foe = np.tan(np.radians(motion.direction)) * (1.0, -1.0)
         self._per_m = 1.0 / motion.speed_m_s
         reach = min(BESIDE_M * self._per_m * FASTEST, math.tan(math.radians(FARTHEST_DEG)))
@@ -165,20 +180,22 @@ class Way:
     ) -> tuple[Points, _Numbers] | None:
         """The points in the way, in px of the earlier image, (n, 2), and their rates in 1/s, (n,).
 
-        For the arguments, see the function `fastest`. None if too few points can be tracked.
+        For the arguments, see the function `fastest`. None if too few points can be tracked, or
+        if an attitude is unknown.
         """
-        turn = motions[1].axes(self._tilt_deg) @ motions[0].axes(self._tilt_deg).T
-        turn = self._view @ turn @ np.linalg.inv(self._view)
-        turned = cv2.warpPerspective(
+        turn = turned(*motions, self._camera, self._shape)
+        if turn is None:
+            return None
+        back = cv2.warpPerspective(
             now, turn, now.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         )
-        at_rest = cv2.boxFilter(cv2.absdiff(before, turned), cv2.CV_32F, PATCH_WH)
+        at_rest = cv2.boxFilter(cv2.absdiff(before, back), cv2.CV_32F, PATCH_WH)
         points = np.concatenate((self._points, _spread(now.shape)))
         usable = _usable(points, now.shape, shown)
         usable &= _usable(cv2.perspectiveTransform(points[np.newaxis], turn)[0], now.shape)
         if np.count_nonzero(usable) < 2 * MIN_POINTS:
             return None
-        there, reached, differs = tracked_near(before, turned, points[usable])
+        there, reached, differs = tracked_near(before, back, points[usable])
         kept = np.flatnonzero(usable)[reached]
         if len(kept) < 2 * MIN_POINTS:
             return None
@@ -188,7 +205,7 @@ class Way:
         moved &= kept < len(self._points)
         sight = _sight(self._on_plane(points), self._on_plane(there), self._foe, self._focal)
         moved &= sight.moves_away
-        moved[moved] = returns(before, turned, points[moved], there[moved])
+        moved[moved] = returns(before, back, points[moved], there[moved])
         rates = (sight.growth - sight.error) / age_s
         counts = moved & (sight.error <= MOST_ERROR * age_s)
         counts &= self._is_in_way(points, rates, sight.foe)

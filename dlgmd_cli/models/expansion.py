@@ -16,7 +16,7 @@ from dlgmd_cli.frame import small_wh
 from dlgmd_cli.models.approach import LEAST_AGE_S, approaching
 from dlgmd_cli.models.base import Flags, Grey
 from dlgmd_cli.models.columns import column, described
-from dlgmd_cli.models.corridor import Motion, fastest
+from dlgmd_cli.models.corridor import Motion, fastest, turned
 from dlgmd_cli.models.growth import PATCH_WH, Growth, Points, grid, growth, visible
 from dlgmd_cli.models.prepare import Filling, Flicker
 from dlgmd_cli.models.windows import Bounds, Camera
@@ -115,10 +115,11 @@ class _Mean:
 
 
 class _Image(NamedTuple):
-    """An image in grey levels, and its time."""
+    """An image in grey levels, its time, and the drone's motion then, if it is known."""
 
     grey: Grey
     time_s: float
+    motion: Motion | None
 
 
 class Expansion:
@@ -216,7 +217,7 @@ class Expansion:
         at_s = math.nan if time_s is None else time_s
         step_s, self._last_s = at_s - self._last_s, at_s
         grey = self._prepared(grey)
-        now = _Image(grey, at_s)
+        now = _Image(grey, at_s, self._motion)
         before = self._before(at_s)
         self._earlier.append(now)
         if before is None or min(grey.shape) < LEAST_SIDE:
@@ -230,7 +231,8 @@ class Expansion:
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
-        ahead = growth(before.grey, now.grey, self._points(window, grey.shape))
+        turn = turned(before.motion, now.motion, self.camera, grey.shape)
+        ahead = growth(before.grey, grey, self._points(window, grey.shape), turn)
         self._ahead.add(ahead, age_s, step_s)
         if self._at_rest:
             self._look_around(grey, step_s, motion)

@@ -71,7 +71,9 @@ def visible(points: Points, shape: tuple[int, ...], shown: Flags | None = None) 
     return points[inside]
 
 
-def growth(before: Grey, now: Grey, points: Points) -> Growth:
+def growth(
+    before: Grey, now: Grey, points: Points, turn: npt.NDArray[np.float64] | None = None
+) -> Growth:
     """How the image grows about the mean of `points`, from an earlier image to a later one.
 
     Parameters
@@ -79,11 +81,17 @@ def growth(before: Grey, now: Grey, points: Points) -> Growth:
     before, now : ndarray, shape (H, W), uint8
     points : ndarray, shape (n, 2), float32
         Places in the earlier image, see `visible`.
+    turn : ndarray, shape (3, 3), optional
+        Where far points of the earlier image are in the later one if the camera has turned: a
+        homography, which the growth leaves out. Far from the axis, a turn alone makes the image
+        grow.
     """
     there, found, _ = tracked(before, now, points)
     if np.count_nonzero(found) < MIN_POINTS:
         return Growth()
     points, there = points[found], there[found]
+    if turn is not None:
+        there = np.float32(cv2.perspectiveTransform(there[np.newaxis], np.linalg.inv(turn))[0])
     fit = similarity(points, there)
     grown = upright(points, there, fit.weight)
     return Growth() if math.isnan(grown) else Growth(fit.slope.real, grown, fit.error)
