@@ -57,8 +57,8 @@ class Response:
         Further numbers of the model, by the names in `Model.columns`.
     """
 
-    p_sum: float = column("model's unit", "sum of the layer P's absolute values", ATTENUATION)
-    s_sum: float = column("model's unit", "the same of the layer S", ATTENUATION)
+    p_sum: float = column("model's unit", "ΣP, the sum of absolute changes (layer P)", ATTENUATION)
+    s_sum: float = column("model's unit", "ΣS, what inhibition leaves of it (layer S)", ATTENUATION)
     mp: float = column("–", "[membrane potential](words.md) (MP), K, Eq. (13)")
     ffi: float = column("model's unit", "feed-forward inhibition, Eq. (12)")
     t_de: float = column("model's unit", "threshold of the layer G, which `ffi` sets, Eq. (11)")

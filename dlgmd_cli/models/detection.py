@@ -51,7 +51,7 @@ class Detection(Measured, Response):
     time_s: float = column("s", "time of the frame, from the decoder", *TABLES)
     mp_abs: float = column("–", "the MP on a [fixed scale](words.md#the-model), 0 to 1")
     level: float = column(
-        "–", "normalised MP: `mp_abs`, or with `--normalise sequence` `mp_seq`", SPIKES
+        "–", "normalised MP: `mp_abs`; with `--normalise sequence`, `mp_seq`", SPIKES
     )
     spike: bool = column("0, 1", "whether the frame is a spike", SPIKES, kind=bool, default=False)
     signal: float = column(
@@ -82,8 +82,9 @@ class Detection(Measured, Response):
     )
     blind: str = column(
         "–",
-        "why a collision would raise no alarm: [`unmeasured`](measurements.md#unmeasured), or in "
-        "`live` another [reason](live.md#health); empty for none, and during an alarm",
+        "why a collision may raise no alarm: [`unmeasured`](measurements.md#unmeasured), or in "
+        "`live` another [reason](live.md#health); empty for none; `unmeasured` only without an "
+        "alarm",
         kind=str,
         default="",
     )
@@ -97,7 +98,7 @@ COLUMNS = (
     Column(
         "attenuation_db",
         "dB",
-        "10 log10(ΣS/ΣP); `-inf` from −69 dB down (float32 rounding), drawn at −60",
+        "10 log10(ΣS/ΣP); drawn at −60 if below; `-inf` from −69 dB down (float32 rounding)",
         (ATTENUATION,),
     ),
 )
@@ -173,7 +174,8 @@ class AlarmSpan:
     g_y: float = column("–", "centroid of the active cells as the alarm begins", ALARMS)
     side: str = column(
         "–",
-        "image region: `left`, `ahead` (centre) or `right`, and `high` (upper) or `low` (lower)",
+        "image region: `left`, `ahead` or `right`; above or below the middle third, also `high` "
+        "or `low`",
         ALARMS,
         kind=str,
         default="",

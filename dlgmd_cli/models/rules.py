@@ -293,10 +293,16 @@ class Spikes(Rule, name="spikes"):
     @property
     def text(self) -> str:
         """The rule in words."""
+        lasting = f"{self.n_in_a_row} in a row"
         if in_degrees(self.params):
             lasting = f"for {1e3 * (self.params.n_sp - 1) * FRAME_S:.0f} ms"
-            return f"spikes: {lasting}, at an MP of {self.threshold:g} or more"
-        return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.threshold:g} or more"
+        level = f"a {self.quantity}" if self._is_normalised else "an MP"
+        return f"spikes: {lasting}, at {level} of {self.threshold:g} or more"
+
+    @property
+    def _is_normalised(self) -> bool:
+        """Whether the level is a normalised MP: one of a fixed scale is not."""
+        return self.by_sequence or self.params.rest is None
 
     @classmethod
     def side(cls, cells: ImagePoint, expansion: ImagePoint) -> str:
@@ -309,9 +315,8 @@ class Spikes(Rule, name="spikes"):
         return f"threshold {self.threshold:g}"
 
     def peak_text(self, signal: float) -> str:
-        """The highest level of an alarm in words; an MP of a fixed scale is not normalised."""
-        is_normalised = self.by_sequence or self.params.rest is None
-        return f"{self.quantity if is_normalised else 'MP'} up to {signal:.2f}"
+        """The highest level of an alarm in words."""
+        return f"{self.quantity if self._is_normalised else 'MP'} up to {signal:.2f}"
 
     def strength_at(self, signal: float) -> float:
         """The mean excitation at a level."""

@@ -71,7 +71,7 @@ class Answer:
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
-        Why a collision would raise no alarm: `lost`, or a reason of `Detection.blind`; or empty.
+        Why a collision may raise no alarm: `lost`, or a reason of `Detection.blind`; or empty.
     span : AlarmSpan or None
         For `begin` and `end`, the alarm as known so far.
     time_s, since_s : float

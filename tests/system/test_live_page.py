@@ -215,5 +215,5 @@ def test_blindness_is_explained(browser, watch, tmp_path):
     page = reader.page
     assert page.text_content("#state") == "Blind"
     message = page.text_content("#message")
-    assert message == "Blind: its frames are black. A collision would raise no alarm."
+    assert message == "Blind: its frames are black. A collision may raise no alarm."
     assert page.evaluate("getComputedStyle(picture).opacity") == "1"

@@ -403,7 +403,7 @@ def test_what_is_no_rule_is_refused_in_a_line(mine, dlgmd, footage):
     [
         ("run {} --threshold 0.4", "expansion: expansion of 0.4/s or more"),
         ("run {} --alarm ttc --threshold 0.9", "ttc: time to contact of 0.9 s or less"),
-        ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at an MP of 0.6 or more"),
+        ("run {} --set 9 --threshold 0.6", "spikes: 2 in a row, at a normalised MP of 0.6 or more"),
         ("run {} --speed-m-s 3", "expansion: expansion of 0.554054/s or more"),
         ("batch {} --speed-m-s 3 --brake 1s --jobs 1", "expansion: expansion of 0.4/s or more"),
         ("live {} --threshold 0.4 --realtime --record o", "expansion: expansion of 0.4/s or more"),

@@ -192,7 +192,7 @@ def test_spikes_last_for_the_time_of_n_sp_frames():
 
     assert alarms(30, 4) == [22, 23]
     assert alarms(120, 10) == [28, 29]  # 67 ms after the first spike
-    assert rule_of(SET).text == "spikes: for 33 ms, at an MP of 0.4 or more"
+    assert rule_of(SET).text == "spikes: for 33 ms, at a normalised MP of 0.4 or more"
 
 
 def test_every_frame_has_a_response_at_its_own_size(tmp_path):

@@ -482,7 +482,7 @@ class Evaluation(Outcome):
         for word in GROUPED:
             yield from self._shown_by(word)
         if areas := roc.table(self.separations):
-            yield "Frames before a contact against others, and videos, at all thresholds (95 %):"
+            yield "Separation of frames before a contact from others, and of videos with one:"
             yield areas
         if any(path.suffix[1:] in FIGURE_FORMATS for path in self.paths):
             yield from (f"Not drawn: {why}." for why in self._lacking().values())
