@@ -83,7 +83,7 @@ class DlgmdParameters(Parameters):
     k: float = key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
     ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
-    m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
+    m: float = key(0.4, "m", "–", "mean change at which unlimited T_de = T_0, Eq. (11)", 0.001, 100)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0028, "κ", "–", KAPPA, 1e-9, 100)
@@ -99,7 +99,7 @@ class DlgmdParameters(Parameters):
     )
     saturate: bool = key(
         dict(zip(FORMULATIONS, (True, True, True, False), strict=True)),
-        meaning="limit G to 1 and T_de to 0.3",
+        meaning="limit G̃ to 1 and T_de to 0.3",
     )
     grouping: str = key(
         dict(zip(FORMULATIONS, ("sum", "sum", "mean", "sum"), strict=True)),

@@ -25,7 +25,7 @@ SIMULATED = [
 
 @pytest.mark.parametrize(("brake", "speed", "distance_m"), SIMULATED)
 def test_arducopter_stops_as_in_its_simulator(brake, speed, distance_m):
-    assert Brake.parse(brake).distance_m(speed) == pytest.approx(distance_m, rel=0.1)
+    assert Brake.parse(brake).distance_m(speed) == pytest.approx(distance_m, rel=0.07)
 
 
 def integrated_s(speed, wanted, jerk, most, step_s=2e-4):

@@ -154,7 +154,7 @@ def rates() -> str:
     """Measured against true rates, by group and frame rate; draws the page's figures, too."""
     head = ["group", "frames/s", "measured where truth is 0"]
     head += [f"measured / true, {low}–{high}/s" for low, high in RANGES]
-    head += ["frames", f"of quality {QUALITY}, %"]
+    head += ["frames", f"quality ≥ {QUALITY}, %"]
     rows = []
     for group, (name, own_rate) in GROUPS.items():
         for fps in FRAME_RATES if group == CHESSBOARD else (60.0,):

@@ -91,8 +91,8 @@ def unmeasured() -> str:
     hits = rendered(None, HIT_SEED, dark, noisy)
     flights = [[*a, *b] for a, b in zip(blank, hits, strict=True)]
     head, rows = ["least quality"], [[f"{least:.2f}"] for least in LEAST]
-    for half, name in enumerate(("choice", "held out")):
-        head += [f"{name}: flights told", "clips told", "clear time of clips unmeasured, %"]
+    for half, name in enumerate(("choice", "other half")):
+        head += [f"{name}: flights told", "clips told", "clips' clear time unmeasured, %"]
         for least, row in zip(LEAST, rows, strict=True):
             row += _cells([*chain(*flights[half::2])], clips[half::2], least)
     return table(head, rows)
