@@ -114,6 +114,23 @@ def test_turns_of_the_drone_are_turned_back(turn):
     assert rate == pytest.approx(0.8, rel=0.15)
 
 
+@pytest.mark.parametrize("turn", [(0, 0, 50), (0, 40, 0), (30, -20, -40)])
+def test_a_turn_alone_does_not_make_the_window_grow(turn):
+    """Far from the axis it does, unless the attitude tells of the turn."""
+    rates = []
+    for knows in (True, False):
+        expansion = Expansion(camera=CAMERA)
+        for k in range(8):
+            angles = [rate_deg_s * k / 30 for rate_deg_s in turn]
+            there = Motion((25.0, 10.0), 1.0, *angles)
+            expansion.head(there if knows else Motion(there.direction))
+            image = seen(there, [(WALL, (0.0, 0.0, 30.0), (40.0, 40.0))])
+            found = expansion.step(image, k / 30)
+        rates.append((abs(found.expansion), abs(found.expansion_upright)))
+    known, unknown = rates
+    assert max(known) < 0.02 and max(unknown) > 0.1
+
+
 @pytest.mark.parametrize("error_deg", [(3.0, 0.0), (0.0, 3.0), (-2.0, -2.0)])
 def test_an_error_of_the_direction_is_found(error_deg):
     wrong = LEVEL._replace(direction=error_deg)
