@@ -347,7 +347,9 @@ class Watch:
             yield self._event(name, frame, alarm=self._events.span is not None, report=report)
 
     def _look(self) -> None:
-        """Pass the hidden cells and the camera of the first frame to the alarm."""
+        """Pass the hidden cells and the camera of the first frame to the alarm; log its rule."""
+        if self._threshold_at is None:
+            _log.info("Note: the alarm rule is %s.", self._alarm.rule.text)
         source, camera = self._source, _camera_of(self._source)
         self._alarm.ignore(*source.hidden())
         self._alarm.look(camera)

@@ -293,3 +293,9 @@ def test_the_last_seconds_by_the_command(runs, tmp_path):
         result = read_result(f"r/alarm-{number}")
         assert len(os.listdir(f"r/alarm-{number}/pictures")) == len(result) > 5
     assert len(read_result("r")) > len(result) and not os.path.exists("r/alarm-3")
+
+
+def test_the_rule_and_its_threshold_are_said(runs, tmp_path):
+    path = write_video(tmp_path / "a.avi", looming_frames(30, 64, 48), fps=30)
+    said = runs("live", path, "--realtime", "--threshold", 0.6).stderr
+    assert "Note: the alarm rule is expansion: expansion of 0.6/s or more." in said
