@@ -162,7 +162,7 @@ def open_video(reader, link):
     reader.page.wait_for_timeout(500)
     reader.follow(link)
     reader.until("plot._fullLayout !== undefined")
-    until_s = time.monotonic() + 60.0
+    until_s = time.monotonic() + 10.0
     while not reader.page.evaluate(marks):
         if time.monotonic() > until_s:
             pytest.skip("this browser keeps nothing from one page to the next")
