@@ -78,7 +78,7 @@ def in_the_way() -> Iterator[BgrImage]:
         if n >= EVERY:
             pair = motions[n - EVERY], motions[n]
             earlier, now = (small(flight.frames[k]) for k in (n - EVERY, n))
-            seen = Way(pair[0], Camera(FOV_DEG), now.shape).seen(earlier, now, pair, EVERY / FPS)
+            seen = Way(pair, Camera(FOV_DEG), now.shape).seen(earlier, now, EVERY / FPS)
             mark(picture, *(seen or ([], [])))
         line = np.full((LINE_PX, SHOWN_WH[0], 3), 255, np.uint8)
         for left, name, row in zip((10, 280), ("in the way", "window"), rows, strict=True):

@@ -126,8 +126,8 @@ def fastest(
     and `DIRECTION_RAD` as priors. Their covariance is in the standard error of each q. A point is
     in the way of a drone with the speed v if the distance r v / q is at most `BESIDE_M`.
     """
-    way = Way(motions[0], camera, now.shape)
-    found = way.seen(before, now, motions, age_s, shown)
+    way = Way(motions, camera, now.shape)
+    found = way.seen(before, now, age_s, shown)
     return UNKNOWN if found is None else way.fastest(*found)
 
 
@@ -151,12 +151,16 @@ def turned(
 class Way:
     """Points around the direction of flight, and which of them are in the drone's way.
 
-    `motion` is the drone's when the earlier of two images of the `shape` (H, W) is taken; their
-    points are a grid of neighbours around the direction, and some over the whole image.
+    `motions` are the drone's when two images of the `shape` (H, W) are taken; the points are a grid
+    of neighbours around the direction in the earlier one, and some over the whole image.
     """
 
-    def __init__(self, motion: Motion, camera: Camera, shape: tuple[int, ...]) -> None:
-        self._camera, self._shape, self._focal = camera, shape, camera.focal(shape[1])
+    def __init__(
+        self, motions: tuple[Motion, Motion], camera: Camera, shape: tuple[int, ...]
+    ) -> None:
+        motion = motions[0]
+        self._turn = turned(*motions, camera, shape)
+        self._shape, self._focal = shape, camera.focal(shape[1])
         self._axis = np.array(camera.axis(shape))
         # The direction of flight on the plane at the distance 1.
         self._foe = np.tan(np.radians(motion.direction)) * (1.0, -1.0)
@@ -171,19 +175,14 @@ class Way:
         self._points: Points = np.float32(self._middle + self._step * cells)
 
     def seen(
-        self,
-        before: Grey,
-        now: Grey,
-        motions: tuple[Motion, Motion],
-        age_s: float,
-        shown: Flags | None = None,
+        self, before: Grey, now: Grey, age_s: float, shown: Flags | None = None
     ) -> tuple[Points, _Numbers] | None:
         """The points in the way, in px of the earlier image, (n, 2), and their rates in 1/s, (n,).
 
         For the arguments, see the function `fastest`. None if too few points can be tracked, or
         if an attitude is unknown.
         """
-        turn = turned(*motions, self._camera, self._shape)
+        turn = self._turn
         if turn is None:
             return None
         back = cv2.warpPerspective(

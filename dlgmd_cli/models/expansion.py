@@ -134,7 +134,8 @@ class Expansion:
     with the rates r, their standard errors e, `TAU_S` = τ and `ERROR` = E; `expansion_quality` is
     Σ w / Σ exp(-age / τ), and `expansion_upright` is the same mean of the growth of what stands
     `upright`. At constant speed, the time to contact was 1 / `expansion` when the rates had their
-    mean age Σ w age / Σ w; `ttc_s` is less by this age. From images `LEAST_AGE_S` apart, `approach`
+    mean age Σ w age / Σ w; `ttc_s` is less by this age. Where the drone's attitude is known, its
+    turn is left out of the growth, see `turned`. From images `LEAST_AGE_S` apart, `approach`
     is the rate of an object before a camera at rest, and `corridor`, if the drone's motion is
     known, that of points in its way, see `fastest`: the lesser of the last two.
 

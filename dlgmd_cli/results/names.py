@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from dlgmd_cli.frame import Series
 from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.video.base import input_name
 
@@ -44,6 +45,13 @@ def frames_text(record: Record) -> str:
     """The number of processed frames: 60, or 60 of 120 if some were not processed."""
     n, n_read = record["processed"]["frames"], record["input"]["frames"]
     return f"{n}" if n == n_read else f"{n} of {n_read}"
+
+
+def part_text(time_s: Series) -> str:
+    """Which part of an input the frames at these times (s) are: from the first to the last."""
+    if not len(time_s):
+        return ", no part of the input"
+    return f", only {time_s[0]:.3f} to {time_s[-1]:.3f} s of the input"
 
 
 def threshold_text(value: float) -> str:

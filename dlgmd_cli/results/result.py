@@ -27,7 +27,7 @@ from dlgmd_cli.results import annotations, csv, store
 from dlgmd_cli.results.annotations import PLOT_ARGUMENTS
 from dlgmd_cli.results.files import DRAWN
 from dlgmd_cli.results.judging import judged
-from dlgmd_cli.results.names import frames_text, recorded_name
+from dlgmd_cli.results.names import frames_text, part_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, as_html, drawn_by
 from dlgmd_cli.results.record import record_text
 
@@ -512,14 +512,14 @@ class Result(Outcome):
             attenuation = f"{summary['median_attenuation_db']:.2f} dB"
         model = self.params.model
         frames = "{} at {width}x{height}".format(frames_text(self.record), **processed)
-        times = "{:.3f} to {:.3f} s".format(*self.time_s[[0, -1]])
+        frames += "" if self.complete else part_text(self.time_s)
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
             ("alarm rule", self.rule.text),
             ("alarms", f"{summary['alarms'] or 'none'}"),
             *(("", line) for line in listed(self.alarm_list, self.rule)),
             *self.silences.items(),
-            ("frames", frames if self.complete else f"{frames}, only {times} of the input"),
+            ("frames", frames),
             *self._camera(),
             ("peak MP", peak),
             ("spikes", spikes),
