@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm, DlgmdWarning, run
-from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest
+from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest, turned
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.rules import rule_of
 from dlgmd_cli.models.windows import Camera
@@ -129,6 +129,10 @@ def test_a_turn_alone_does_not_make_the_window_grow(turn):
         rates.append((abs(found.expansion), abs(found.expansion_upright)))
     known, unknown = rates
     assert max(known) < 0.02 and max(unknown) > 0.1
+    for unknown in (None, Motion(LEVEL.direction), LEVEL._replace(yaw_deg=math.nan)):
+        assert (
+            turned(unknown, LEVEL, CAMERA, SHAPE) is turned(LEVEL, unknown, CAMERA, SHAPE) is None
+        )
 
 
 @pytest.mark.parametrize("error_deg", [(3.0, 0.0), (0.0, 3.0), (-2.0, -2.0)])
