@@ -129,10 +129,9 @@ def test_a_turn_alone_does_not_make_the_window_grow(turn):
         rates.append((abs(found.expansion), abs(found.expansion_upright)))
     known, unknown = rates
     assert max(known) < 0.02 and max(unknown) > 0.1
-    for unknown in (None, Motion(LEVEL.direction), LEVEL._replace(yaw_deg=math.nan)):
-        assert (
-            turned(unknown, LEVEL, CAMERA, SHAPE) is turned(LEVEL, unknown, CAMERA, SHAPE) is None
-        )
+    for missing in (None, Motion(LEVEL.direction), LEVEL._replace(yaw_deg=math.nan)):
+        assert turned(missing, LEVEL, CAMERA, SHAPE) is None
+        assert turned(LEVEL, missing, CAMERA, SHAPE) is None
 
 
 @pytest.mark.parametrize("error_deg", [(3.0, 0.0), (0.0, 3.0), (-2.0, -2.0)])
