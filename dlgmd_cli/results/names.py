@@ -5,7 +5,6 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from dlgmd_cli.frame import Series
 from dlgmd_cli.parameters.facts import InputFacts, Record
 from dlgmd_cli.video.base import input_name
 
@@ -47,9 +46,9 @@ def frames_text(record: Record) -> str:
     return f"{n}" if n == n_read else f"{n} of {n_read}"
 
 
-def part_text(time_s: Series) -> str:
+def part_text(time_s: Sequence[float]) -> str:
     """Which part of an input the frames at these times (s) are: from the first to the last."""
-    if not len(time_s):
+    if not time_s:
         return ", no part of the input"
     return f", only {time_s[0]:.3f} to {time_s[-1]:.3f} s of the input"
 

@@ -512,7 +512,7 @@ class Result(Outcome):
             attenuation = f"{summary['median_attenuation_db']:.2f} dB"
         model = self.params.model
         frames = "{} at {width}x{height}".format(frames_text(self.record), **processed)
-        frames += "" if self.complete else part_text(self.time_s)
+        frames += "" if self.complete else part_text(self.time_s.tolist())
         rows = [
             ("model", self.label if self.label == model else f"{self.label} ({model})"),
             ("alarm rule", self.rule.text),

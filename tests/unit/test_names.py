@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from dlgmd_cli.results.names import (
@@ -51,5 +50,5 @@ def test_frames_say_how_many_were_left_out():
     record = {"processed": {"frames": 60}, "input": {"frames": 60}}
     assert frames_text(record) == "60"
     assert frames_text({**record, "input": {"frames": 120}}) == "60 of 120"
-    assert part_text(np.array([1.0, 1.5])) == ", only 1.000 to 1.500 s of the input"
-    assert part_text(np.array([])) == ", no part of the input"
+    assert part_text([1.0, 1.5]) == ", only 1.000 to 1.500 s of the input"
+    assert part_text([]) == ", no part of the input"
