@@ -1,7 +1,6 @@
 """What PyAV gives: luma planes of every kind, times, turned and damaged images."""
 
 import io
-import re
 import struct
 from itertools import pairwise
 
@@ -259,37 +258,28 @@ def test_grey_motion_jpeg_with_exif_is_turned_and_mirrored(tmp_path, orientation
     assert len(read(tmp_path / "x.mjpeg", "opencv")[0]) == 3  # which does not turn it
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_reading_goes_on_after_damaged_packets(tmp_path, seed):
+@pytest.mark.parametrize(
+    ("places", "told"),
+    [
+        ((1, 20), "2 frames cannot be decoded after frame 0 (0.000 s) and in 1 more place"),
+        ((7,), "1 frame cannot be decoded after frame 6 (0.240 s)"),
+        ((30, 31, 50), "3 frames cannot be decoded after frame 29 (1.160 s) and in 1 more place"),
+    ],
+)
+def test_reading_goes_on_after_damaged_packets(tmp_path, places, told):
     path = encode(tmp_path / "x.mp4", looming_frames(60, 96, 64), "libx264", options={"bf": "0"})
-    changed, random = bytearray(path.read_bytes()), np.random.default_rng(seed)
-    first = changed.find(b"mdat") + 2000  # behind the key frame
-    for at in random.integers(first, changed.find(b"moov") - 4, 6):
-        changed[at] ^= 1 << random.integers(8)
+    with av.open(str(path)) as container:
+        starts = [packet.pos for packet in container.demux(video=0) if packet.size]
+    changed = bytearray(path.read_bytes())
+    for place in places:
+        # One bit, of a length: some builds of the decoder skip other damage without a word.
+        changed[starts[place]] ^= 0x80
     path.write_bytes(changed)
     with open_video(path, decoder="pyav") as video:
         frames = list(video)
     lost = [round((b.time_s - a.time_s) * 25) - 1 for a, b in pairwise(frames)]
-    assert sum(lost) and len(frames) > 40
+    assert len(frames) == 60 - len(places) and sum(lost) == len(places)
     assert [frame.after_gap for frame in frames[1:]] == [n_lost > 0 for n_lost in lost]
     (line,) = video.progress.damage
-    # In 1 of 25 files, the decoder loses a frame silently. The encoder's bytes vary by process.
-    told = re.search(r"(\d+) frames? cannot be decoded after frame (\d+) ", line)
-    n_told, place = map(int, told.groups())
-    assert 0 < n_told <= sum(lost) and lost[place] > 0
+    assert told in line
     assert f"decoded and used {len(frames)} of about 60 frames" in line
-
-
-def test_a_second_frame_that_cannot_be_decoded_is_counted(tmp_path):
-    path = encode(tmp_path / "x.mp4", looming_frames(30, 96, 64), "libx264", options={"bf": "0"})
-    with av.open(str(path)) as container:
-        packets = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
-    changed = bytearray(path.read_bytes())
-    for at, size in (packets[1], packets[20]):
-        changed[at : at + size] = b"\xff" * size
-    path.write_bytes(changed)
-    with open_video(path, decoder="pyav") as video:
-        gaps = [frame.index for frame in video if frame.after_gap]
-    (line,) = video.progress.damage
-    assert gaps == [1, 19]
-    assert "2 frames cannot be decoded after frame 0 (0.000 s) and in 1 more place" in line
