@@ -71,7 +71,11 @@ def _scene_options(command: Any) -> Any:
 @options.folder_option(
     "-o", "--out", default=Path(), show_default="here", help="Folder for the files."
 )
-@click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
+@click.option(
+    "--lossless/--mp4",
+    default=True,
+    help="FFV1 in .avi, or MPEG-4, in which slow frames may become duplicates.",
+)
 @options.overwrite_option
 @_scene_options
 def synth(scene: str, out: Path, **given: Any) -> None:
@@ -89,7 +93,7 @@ def synth(scene: str, out: Path, **given: Any) -> None:
     translating (a bar), translating-cubes, elongating, shortening, grating, rotating (a bar), or
     benchmark. 'dlgmd lab fly' renders flights through rooms.
 
-    Writes DIR/NAME.mp4 and DIR/NAME.csv, which has the ground truth of each frame. benchmark takes
+    Writes DIR/NAME.avi and DIR/NAME.csv, which has the ground truth of each frame. benchmark takes
     no option of the stimulus, and writes sixteen videos, 432x240, 50 frames, into the folders of
     their classes, and DIR/annotations.json for 'dlgmd evaluate'.
     """

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, argument, counted
+from dlgmd_cli.errors import argument, counted
 from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import refuse
@@ -42,7 +42,7 @@ def synth(
     scene: str,
     out: str | os.PathLike[str] | None = None,
     *,
-    lossless: bool = False,
+    lossless: bool = True,
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
@@ -57,8 +57,10 @@ def synth(
         ``"elongating"``, ``"shortening"``, ``"grating"``, ``"rotating"``, or ``"benchmark"``: the
         sixteen basic videos of the LGMD benchmark.
     out : str or path, optional
-        Folder for the files of `dlgmd synth`, with `lossless` and `overwrite`. Without it, the
-        images are kept in memory.
+        Folder for the files of `dlgmd synth`, with `overwrite`. Without it, the images are kept in
+        memory.
+    lossless : bool, optional
+        Write FFV1 in .avi; False: MPEG-4 in .mp4, in which slow frames may become duplicates.
     progress
         As in `batch`.
     options
@@ -91,8 +93,6 @@ def synth(
     if out is not None:
         clip.paths = _write(clip, stimulus, Path(out), lossless, overwrite, progress)
         return clip
-    if lossless:
-        raise ParameterError("", "lossless is for files", "Give their folder, out.")
     with progress(scene, len(clip.truth), "frame") as on_frame:
         clip.frames = np.stack(list(_watched(stimulus.frames(), on_frame)))
     return clip

@@ -126,10 +126,8 @@ CAPABILITIES = {
         said="<Calibration of set3: ",
     ),
     "synth": capability(
-        "synth looming-cube --size 64x48 --frames 12 --noise 0.01 --lossless",
-        lambda **how: dlgmd_cli.synth(
-            "looming-cube", size="64x48", frames=12, noise=0.01, lossless=True, **how
-        ),
+        "synth looming-cube --size 64x48 --frames 12 --noise 0.01",
+        lambda **how: dlgmd_cli.synth("looming-cube", size="64x48", frames=12, noise=0.01, **how),
         "",
         "looming-cube.avi looming-cube.csv",
         said="<RenderedClip looming-cube: 12 frames in mine",

@@ -19,7 +19,7 @@ SMALL = ["--size", "64x48", "--frames", "5"]
 def test_all_options_arrive(runs):
     options = (
         "--size 64x48 --fps 10 --frames 3 --object-size 2 --speed 1 --distance 4 --contrast 1 "
-        "--background 0.25 --noise 0 --seed 7 --fov 90 --lossless --out new/here"
+        "--background 0.25 --noise 0 --seed 7 --fov 90 --out new/here"
     )
     result = runs("synth", "looming-cube", *options.split())
     video, truth = (Path("new", "here", f"looming-cube.{end}") for end in ("avi", "csv"))
@@ -39,7 +39,7 @@ def test_the_examples_of_the_help_run(dlgmd, runs, here):
 
 
 def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
-    found = dlgmd_cli.synth("benchmark", out=tmp_path, lossless=True)
+    found = dlgmd_cli.synth("benchmark", out=tmp_path)
     assert len(found.videos) == len(found.paths) - 1 == 16
     sequences, failed = read_annotations(tmp_path / "annotations.json")
     assert len(sequences) == 16 and not failed
@@ -50,7 +50,7 @@ def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
     rate, frames = read_video(tmp_path / sequences[0].name)
     assert rate == 30 and np.array_equal(np.array(frames)[..., 1], found.frames[0])
     with pytest.raises(OutputExistsError):
-        dlgmd_cli.synth("benchmark", out=tmp_path, lossless=True)
+        dlgmd_cli.synth("benchmark", out=tmp_path)
     found.save(tmp_path / "saved")
     assert np.array_equal(np.load(tmp_path / "saved/light_looming.npy"), found.frames[1])
     with pytest.raises(ParameterError, match="speed does not work with benchmark"):

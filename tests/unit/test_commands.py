@@ -71,7 +71,7 @@ def test_version(dlgmd, arguments):
 
 
 def test_general_options_before_and_after_the_command(dlgmd):
-    scene = ["synth", "looming-cube", "--frames", 2, "--size", "64x48", "--noise", 0.1]
+    scene = ["synth", "ball", "--mp4", "--frames", 2, "--size", "64x48", "--noise", 0.1]
     assert "Note: " in dlgmd(*scene, "-o", "a").stderr
     for number, arguments in enumerate(([*scene, "-q"], [*scene, "--quiet"], ["-q", *scene])):
         assert dlgmd(*arguments, "-o", f"b{number}").stderr == ""

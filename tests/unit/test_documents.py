@@ -90,7 +90,7 @@ def test_options_in_sentences_exist():
         if page.startswith("docs/lab") and not HAS_LAB:
             continue
         sentences = re.sub("```.*?```", "", text_of(page))
-        named = {*re.findall(r"`(--[a-z][a-z-]*)[^`]*`", sentences)}
+        named = {*re.findall(r"`(--[a-z][a-z0-9-]*)[^`]*`", sentences)}
         assert named <= known, page
 
 

@@ -46,7 +46,6 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (lambda v: dlgmd_cli.sets("lgmd").plot(), "only the D-LGMD model has kernels, not lgmd"),
         (lambda v: dlgmd_cli.export(size="8x8"), "size: 8x8 is out of range"),
         (lambda v: dlgmd_cli.synth("looming-cube", distanc=3), "looming-cube has no such option"),
-        (lambda v: dlgmd_cli.synth("looming-cube", lossless=True), "Give their folder, out"),
         (lambda v: dlgmd_cli.read_result("str"), "no such folder. Run 'dlgmd run' first."),
         (lambda v: dlgmd_cli.read_result(9), "not int"),
         (lambda v: dlgmd_cli.DLGMD(9), r"DlgmdParameters, not 9. Write load_set\(9\)"),

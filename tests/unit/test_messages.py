@@ -92,7 +92,7 @@ def test_an_error_names_its_argument():
 
 def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):
     caplog.set_level("INFO")
-    dlgmd_cli.synth("looming-cube", out=tmp_path, frames=3, noise=0.01, background=0.8)
+    dlgmd_cli.synth("looming-cube", tmp_path, lossless=False, frames=3, noise=0.01, background=0.8)
     assert "Note: MPEG-4 smooths the noise; lossless keeps every pixel of it." in caplog.messages
 
 

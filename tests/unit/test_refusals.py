@@ -168,9 +168,9 @@ WRONG_USAGE = [
     ("synth translating-cubes --object-size 68", "Choose 67 px or less."),
     # What no video can hold.
     ("synth looming-cube --size 64x47", "64x47 is odd, "),
-    ("synth looming-cube --size 63x48 --lossless", "Choose 64x48"),
-    ("synth looming-cube --fps 29.97003 --lossless", "decimals, which this video does not keep"),
-    ("synth looming-cube --fps 119.999", "MPEG-4 cannot hold 119.999"),
+    ("synth looming-cube --size 63x48", "Choose 64x48"),
+    ("synth looming-cube --fps 29.97003", "decimals, which this video does not keep"),
+    ("synth looming-cube --fps 119.999 --mp4", "MPEG-4 cannot hold 119.999"),
     # Common mistakes, and what to type instead.
     ("loom.avi", "no such command 'loom.avi'. Did you mean 'dlgmd run loom.avi'?"),
     ("run loom.avi -set 9", "Did you mean 'dlgmd run loom.avi --set 9'?"),
