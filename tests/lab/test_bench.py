@@ -1,5 +1,6 @@
 """`dlgmd lab bench`: what it measures adds up; how long things take is not tested."""
 
+import json
 import os
 import sys
 
@@ -12,6 +13,7 @@ from dlgmd_cli import open_video
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.bench import bench as task
 from dlgmd_cli.lab.bench.programs import timed
+from dlgmd_cli.lab.bench.shares import watched
 from dlgmd_cli.parameters.presets import MODELS
 
 ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
@@ -86,6 +88,19 @@ def test_the_onset_of_a_busy_computer_is_that_of_run(here, dlgmd, runs):
     assert row["percent"] == "50" and float(row["run_onset_s"]) == pytest.approx(101 / 30, abs=1e-3)
     assert float(row["onset_s"]) == pytest.approx(3.3, abs=1.0)
     assert dlgmd("lab", "bench", "--share", 50).exit_code == 2
+
+
+def test_an_event_before_the_first_frame_has_no_time(tmp_path, monkeypatch):
+    live = tmp_path / "live"
+    rows = [(None, None, "blind"), (0.0, 9.0, ""), (0.5, 9.0, ""), (1.0, 20.0, "begin")]
+    lines = [
+        json.dumps({"time_s": at, "latency_ms": late} | ({"event": event} if event else {}))
+        for at, late, event in rows
+    ]
+    live.write_text("#!/bin/sh\n" + "".join(f"echo '{line}'\n" for line in lines))
+    live.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(live))
+    assert watched("x.mp4", 1.0) == pytest.approx((1.02, 3.0, 0.0))
 
 
 def test_every_model_of_the_package_is_timed(here, runs):

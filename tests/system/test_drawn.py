@@ -13,6 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import dlgmd_cli
+from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.paper.panels import Panel, plot_panels
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import load_set
@@ -297,7 +298,12 @@ def test_the_film_of_layers_shows_the_potential_and_the_signal(rule, monkeypatch
 
 
 def test_the_film_of_a_flight_shows_the_signal():
-    pytest.importorskip("mujoco", reason="flights need MuJoCo")
+    from dlgmd_cli.lab.fly import gl
+
+    try:
+        gl.require()  # a plain import would choose a display, also for later tests
+    except DlgmdError as error:
+        pytest.skip(f"flights need MuJoCo: {error}")
     from dlgmd_cli.lab.fly.film import Loop, _draw_curves
 
     rows = [(t / 10, 5.0, 1.0, 0.1 * t, 0.05 * t, 0.01 * t, 0) for t in range(30)]

@@ -107,7 +107,7 @@ def watched(video: str, share: float) -> Watched:
         preexec_fn=lambda: os.sched_setaffinity(0, {core}),
     ) as process:
         assert process.stdout is not None
-        first = json.loads(process.stdout.readline() or "{}")
+        process.stdout.readline()  # it has begun
         with limited(process, share):
             for line in process.stdout:
                 row = json.loads(line)
@@ -119,9 +119,9 @@ def watched(video: str, share: float) -> Watched:
         process.kill()
     if not rows:
         return Watched(math.nan, math.nan, math.nan)
-    seconds = rows[-1]["time_s"] - first["time_s"]
     n_left_out = sum("left_out" in row for row in rows)
-    return Watched(onset_s, len(rows) / max(seconds, 1e-6), n_left_out / len(rows))
+    # Times count from the first frame.
+    return Watched(onset_s, len(rows) / max(rows[-1]["time_s"], 1e-6), n_left_out / len(rows))
 
 
 @contextmanager
