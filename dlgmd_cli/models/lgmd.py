@@ -33,7 +33,7 @@ class LGMD(Model):
     Parameters
     ----------
     params : LgmdParameters, optional
-        The published values unless given.
+        The published values, except T_FFI, unless given.
     """
 
     params_class = LgmdParameters
