@@ -104,15 +104,23 @@ def meaning(group: str) -> str:
 
 def _cited(one: dict[str, Any]) -> str:
     """A publication of CITATION.cff in short, with its address."""
-    names = [
-        who.get("name") or f"{who['given-names']} {who['family-names']}" for who in one["authors"]
+    families = [
+        family
+        for who in one["authors"]
+        for family in (
+            # A name is a list such as "Yue, S., and Rind, F. C.".
+            who["name"].replace(", and ", ", ").split(", ")[::2]
+            if "name" in who
+            else [who["family-names"]]
+        )
     ]
+    names = " and ".join(families) if len(families) < 3 else f"{families[0]} et al."
     address = one.get("url") or one.get("repository-code") or ""
     if "doi" in one:
         address = f"https://doi.org/{one['doi']}"
     year = f", {one['year']}" if "year" in one else ""
     link = f", [{address.removeprefix('https://')}]({address})" if address else ""
-    return f'{", ".join(names)}, "{" ".join(one["title"].split())}"{year}{link}'
+    return f'{names}, "{" ".join(one["title"].split())}"{year}{link}'
 
 
 def references(group: str) -> str:

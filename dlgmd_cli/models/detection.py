@@ -62,7 +62,7 @@ class Detection(Measured, Response):
     signal_limit: str = column(
         "–",
         "what holds `signal` below `expansion`: [`ground`, `quality` or "
-        "`approach`](questions.md#why-is-there-no-alarm-here); empty for nothing",
+        "`approach`](questions.md#why-is-there-no-alarm-here)",
         kind=str,
         default="",
     )
@@ -83,8 +83,7 @@ class Detection(Measured, Response):
     blind: str = column(
         "–",
         "why a collision may raise no alarm: [`unmeasured`](measurements.md#unmeasured), or in "
-        "`live` another [reason](live.md#health); empty for none; `unmeasured` only without an "
-        "alarm",
+        "`live` another [reason](live.md#health)",
         kind=str,
         default="",
     )
@@ -98,7 +97,7 @@ COLUMNS = (
     Column(
         "attenuation_db",
         "dB",
-        "10 log10(ΣS/ΣP); drawn at −60 if below; `-inf` from −69 dB down (float32 rounding)",
+        "10 log10(ΣS/ΣP); drawn at −60 if below; `-inf` from −69 dB down",
         (ATTENUATION,),
     ),
 )

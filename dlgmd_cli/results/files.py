@@ -80,12 +80,7 @@ FILES: dict[str, tuple[File, ...]] = {
         ),
         File(ALARMS, "begin, end and image region of each alarm", "write_alarms"),
         *(_figure(kind, "figure of the table of that name, with alarms") for kind in DRAWN),
-        File(
-            "alarms",
-            "the alarms as captions, which a player shows over the video",
-            "write_vtt",
-            ("vtt",),
-        ),
+        File("alarms", "the alarms as captions for a video player", "write_vtt", ("vtt",)),
         File(RUN, "the summary, and all that `--config run.yaml` needs to repeat the run"),
     ),
     COMPARISON: (

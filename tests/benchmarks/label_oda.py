@@ -1,9 +1,15 @@
-"""Labels and truth of ODA, real approaches of a drone to poles; docs/evaluate.md says how.
+"""Labels and truth of ODA (Dupeyroux and others), real approaches of a drone to one or two poles.
 
     python tests/benchmarks/label_oda.py ODA OUT
+    dlgmd evaluate OUT/labels.csv --out scores
 
+Download trial_overview.csv and the folders of some trials from https://doi.org/10.4121/14214236.
 ODA has trial_overview.csv and, for each trial N, N/optitrack.csv and N/N.avi. OUT/labels.csv gets a
 row for each trial, OUT/truth/N.csv one for each frame of its video.
+
+They come from the drone's poses, which are assumed to begin with the video. The frame of contact is
+the one nearest to a pole that lay ahead. The pilots turn away some 2 s before it, before an alarm
+is due: read the column `justified` of the scores.
 """
 
 import argparse

@@ -32,7 +32,7 @@ GROUPS = {
     "tof_O": ("Crazyflie O", "6–7.5"),
 }
 # Rates at which the chessboard is measured, by taking every k-th image.
-FRAME_RATES = (60.0, 30.0, 15.0, 7.5)
+FRAME_RATES = (30.0, 15.0, 7.5)
 # Truth nearer (m) or faster (m/s) than this is left out: its error is too large.
 LEAST_M, MOST_M_S = 0.05, 2.0
 # Truth below STILL (1/s) counts as 0; the ranges of true rates in the table, in 1/s.
@@ -41,7 +41,7 @@ STILL, RANGES = 0.05, ((0.3, 0.8), (0.8, 1.5))
 QUALITY, ALARM = 0.35, 0.47
 # An oracle announces a contact up to this many seconds before the closest approach.
 ORACLE_S = 3.0
-MODELS = ("flight", 3, 6, 9)
+MODELS = ("flight", 6, 9)
 # Width and height, in px, of the reduced chessboard, as a microcontroller sees it.
 SMALL_WH = (96, 72)
 LK = "LK divergence"

@@ -20,7 +20,7 @@ from dlgmd_cli.models.health import Measuring
 from dlgmd_cli.results.labels import read_cases
 
 # Least quality of each row, and for how long (s) it is missed.
-LEAST, LASTS_S = (0.10, 0.20, 0.25, 0.30), 0.7
+LEAST, LASTS_S = (0.10, 0.20, 0.25), 0.7
 CLIPS = ("approach", "clips", "footage")
 # Flights into blank walls, and flights that are rendered lit, dark and noisy: seed and number.
 BLANK_SEED, HIT_SEED, N_FLIGHTS, SIZE_WH = 91000, 92000, 8, (320, 180)
