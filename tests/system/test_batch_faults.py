@@ -159,7 +159,7 @@ def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
         shutil.copy(short.videos / "0.avi", short.videos / name)
     with monkeypatch.context() as patch:
         patch.setattr("dlgmd_cli.tasks.batch.batch.run_video", faulty)
-        result = short.run("--timeout", 5)
+        result = short.run("--timeout", 12)
     assert result.exit_code == 1
     assert short.judge() == dict.fromkeys(short.names, "done") | faults
     for name in faults:

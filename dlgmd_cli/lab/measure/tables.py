@@ -67,7 +67,7 @@ def ttc_synthetic() -> str:
         for scene in ("looming-cube", "looming-ball"):
             dlgmd_cli.synth(scene, folder)
         labels = Path(folder, "labels.csv")
-        text = "video,collision_frame\nlooming-cube.mp4,74\nlooming-ball.mp4,74\n"
+        text = "video,collision_frame\nlooming-cube.avi,74\nlooming-ball.avi,74\n"
         labels.write_text(text, encoding="utf-8")
         scored = evaluated(labels, "flight")["ttc"]
     for row in scored:
