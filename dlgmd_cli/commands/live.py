@@ -124,10 +124,10 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
 @alarm_option(
     "--speed-m-s",
     metavar="M/S|autopilot",
-    help="With the rule expansion or ttc: alarm in time for a stop from this speed, instead of at "
-    "expansion_alarm or ttc_alarm. 'autopilot' takes the speed that --mavlink receives; without a "
-    "speed, or at a standstill, expansion_alarm or ttc_alarm apply. Unless --brake is given, the "
-    "stop is then the one that the autopilot tells with --mavlink-brake.",
+    help="With the rule expansion, corridor or ttc: alarm in time for a stop from this speed, "
+    "instead of at the rule's threshold. 'autopilot' takes the speed that --mavlink receives; "
+    "without a speed, or at a standstill, the rule's threshold applies. Unless --brake is given, "
+    "the stop is then the one that the autopilot tells with --mavlink-brake.",
 )
 @options.stopping_options
 @receiver_option(

@@ -67,17 +67,19 @@ class Measured:
         "[1/2](model.md#expansion-rate-and-time-to-contact) for a standard error of 0.2/s",
     )
     ttc_s: float = column(
-        "s", "estimated time to contact; empty below an expansion of 0.1/s or a quality of 0.35"
+        "s",
+        "estimated time to contact; [empty](model.md#time-to-contact) where no rate of 0.1/s or "
+        "more was measured well",
     )
     expansion_x: float = column("–", _CENTRE)
     expansion_y: float = column("–", _CENTRE)
     approach: float = column(
-        "1/s", "expansion rate of an object that approaches a camera at rest; 0 if none does"
+        "1/s", "expansion rate of an object that approaches a hovering camera; 0 if none does"
     )
     corridor: float = column(
         "1/s",
         "1 / (time to contact) of the [points in the drone's way](measurements.md#the-way); "
-        "0 if there are none, empty if the drone's motion is unknown",
+        "0 if there are none, [empty](measurements.md#the-rule-of-flight) without the motion",
     )
 
 

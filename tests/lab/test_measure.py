@@ -134,13 +134,6 @@ def test_the_pages_of_this_clone_have_known_sources(monkeypatch):
     assert all((ROOT / name).exists() for name in pages.CODE)
 
 
-def test_a_synthetic_table_can_be_measured():
-    header, _, *rows = tables.ttc_synthetic().splitlines()
-    assert header.startswith("| true time, s |") and len(rows) == 6
-    *_, near, far = (row.strip("| ").split(" | ") for row in rows)
-    assert far[0] == "1.5–2.0" and 1.0 <= float(near[2]) <= float(near[3])
-
-
 def test_errors_of_real_clips_need_their_place(monkeypatch):
     monkeypatch.delenv("DLGMD_REFERENCE", raising=False)
     with pytest.raises(ParameterError, match="DLGMD_REFERENCE"):

@@ -1,9 +1,7 @@
 """The tables that `dlgmd lab measure` measures: a function each, which returns it in Markdown."""
 
-import math
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +9,7 @@ from typing import NamedTuple
 
 import dlgmd_cli
 from dlgmd_cli.lab.measure import approaches
-from dlgmd_cli.lab.measure.scores import evaluated, number, of_all, reference, table
+from dlgmd_cli.lab.measure.scores import number, of_all, reference, table
 from dlgmd_cli.lab.measure.unmeasured import unmeasured
 from dlgmd_cli.results.labels import read_cases
 
@@ -59,25 +57,6 @@ def footage() -> str:
     return table(head, rows)
 
 
-def ttc_synthetic() -> str:
-    """Ratios of estimated and true time to contact of a cube and a ball, by the true time."""
-    head = ["true time, s", "with an estimate", "median ratio", "90 % ratio"]
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for scene in ("looming-cube", "looming-ball"):
-            dlgmd_cli.synth(scene, folder)
-        labels = Path(folder, "labels.csv")
-        text = "video,collision_frame\nlooming-cube.avi,74\nlooming-ball.avi,74\n"
-        labels.write_text(text, encoding="utf-8")
-        scored = evaluated(labels, "flight")["ttc"]
-    for row in scored:
-        span = f"{float(row['left_from_s']):.1f}–{float(row['left_to_s']):.1f}"
-        logs = (row["log_error"], row["log_error_p90"])
-        ratios = [f"{math.exp(float(log)):.2f}" if log else "–" for log in logs]
-        rows.append([span, number(row["estimated"]), *ratios])
-    return table(head, rows)
-
-
 def paper() -> str:
     """The claims of the paper: how many hold, and each by verdict.
 
@@ -103,6 +82,5 @@ TABLES = {
     "approach": Measured(approaches.announced, 6),
     "approach-rate": Measured(approaches.rates, 3),
     "unmeasured": Measured(unmeasured, 10),
-    "ttc-synthetic": Measured(ttc_synthetic, 1),
     "paper": Measured(paper, 180),
 }
