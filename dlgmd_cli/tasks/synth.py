@@ -171,19 +171,20 @@ def _write(
     overwrite: bool,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write ``folder/NAME.mp4``, or .avi, and ``folder/NAME.csv``; returns both paths."""
+    """Write ``folder/NAME.avi``, or .mp4, and ``folder/NAME.csv``; returns both paths."""
     codec, suffix = ("ffv1", "avi") if lossless else ("mpeg4", "mp4")
     _check_storable(codec, scene)
     if scene.noise > 0.0 and not lossless:
         kept = "Note: MPEG-4 smooths the noise; %s keeps every pixel of it."
         _log.info(kept, argument("lossless"))
     video, truth = (folder / f"{clip.name}.{end}" for end in (suffix, "csv"))
-    names = [video.name, truth.name]
-    # The truth is the record: an earlier clip's truth must never stand beside this clip's images.
+    # The truth is the record: it must never stand beside the images of another clip.
+    videos = [f"{clip.name}.avi", f"{clip.name}.mp4"]
+    names = [*videos, truth.name]
     with (
         store.claimed(folder, truth.name, names=names, overwrite=overwrite) as claim,
         progress(clip.name, len(clip.truth), "frame") as on_frame,
-        claim.staged(what=video) as stage,
+        claim.staged(what=video, stale=videos) as stage,
     ):
         images = _watched(scene.frames(), on_frame)
         shape, fps = scene.shape, scene.fps

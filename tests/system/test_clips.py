@@ -82,6 +82,11 @@ def test_what_exists_is_replaced_only_when_told(tmp_path):
     dlgmd_cli.synth("looming-cube", tmp_path, overwrite=True, size="64x48", frames=3)
     assert names(tmp_path) == ["looming-cube.avi", "looming-cube.csv"]
     assert len(decoded(tmp_path / "looming-cube.avi")) == 3
+    other = {"lossless": False, "size": "64x48", "frames": 4}
+    with pytest.raises(OutputExistsError, match=r"looming-cube.avi"):
+        dlgmd_cli.synth("looming-cube", tmp_path, **other)
+    dlgmd_cli.synth("looming-cube", tmp_path, overwrite=True, **other)
+    assert names(tmp_path) == ["looming-cube.csv", "looming-cube.mp4"]
 
 
 def test_the_truth_of_an_earlier_clip_never_stands_beside_the_images_of_a_later_one(
