@@ -351,7 +351,13 @@ def _at_speed(
         return setup, None
     stopping.require_followed(params, chosen.threshold)
     brake = stopping.brake_of(chosen.brake, chosen.react, chosen.tilt, chosen.jerk)
+    is_given = (chosen.brake, chosen.tilt, chosen.jerk) != (None, None, None)
     if speed != AUTOPILOT:
+        if chosen.mavlink_brake and not is_given:
+            # The default is an ArduCopter with PSC_JERK_XY 20: others need a longer stop.
+            why = "which autopilot will brake is not known yet"
+            hint = f"Add {argument('brake')}, or give {argument('speed_m_s', AUTOPILOT)}."
+            raise ParameterError("", why, hint)
         params = stopping.following(params, brake, stopping.speed_of(speed))
         return replace(setup, params=params), None
     by_autopilot = argument("speed_m_s", AUTOPILOT)
@@ -360,7 +366,7 @@ def _at_speed(
     if chosen.record is not None:
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
-    given = None if (chosen.brake, chosen.tilt, chosen.jerk) == (None, None, None) else brake
+    given = brake if is_given else None
     return setup, lambda m_s: stopping.threshold_for(params, given or reports.brake or brake, m_s)
 
 

@@ -146,6 +146,10 @@ WRONG_USAGE = [
     (f"{LINK} --mavlink-brake --mavlink-modes ''", "works only with"),
     (f"{LINK} --mavlink-brake-mode BRAKE", "--mavlink-brake-mode works only with"),
     (f"{LINK} --mavlink-component 1", "'--mavlink-component': 1 is not at least 2"),
+    (
+        f"{LINK} --mavlink-brake --mavlink-modes AUTO --speed-m-s 2",
+        "Add --brake, or give --speed-m-s autopilot.",
+    ),
     (f"{LINK} --speed-m-s autopilot --set 9", "works only with the rules expansion, corridor"),
     (f"{LINK} --speed-m-s autopilot --record x", "a result has one threshold"),
     (f"{LINK} --speed-m-s 0", "Invalid value for '--speed-m-s'"),
