@@ -38,7 +38,7 @@ def export(**arguments: Any) -> None:
     The C code takes grey frames of one size, one byte per cell. For each frame, it returns the
     membrane potential, the time to contact, spike, alarm, and their place in the image. The
     expansion is measured unless spikes raise the alarm (--alarm spikes). The code allocates no
-    memory and needs no library. The parameters are constants in the code.
+    memory and needs no library but memcpy and the like. The parameters are constants in the code.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
     the test on emulated Cortex-M boards). DIR/README.md explains the files and states their memory

@@ -468,8 +468,8 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "whole image, in degrees, 1 to 170.  [default: 80]"),
     "camera_tilt": (Parsed("DEG", SPECS["camera_tilt"].parse), "DEG", "Angle of the optical "
         "axis above the direction of flight, in degrees, -45 to 45: the angle at which the camera "
-        "is mounted, minus the drone's pitch in flight. If an autopilot reports the pitch, the "
-        "angle at which the camera is mounted.  [default: 0]"),
+        "is mounted, plus the pitch in flight (negative with the nose down). If an autopilot "
+        "reports the pitch, the angle at which the camera is mounted.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of the direction of flight: frame,right_deg,up_deg, "
         "in degrees from the optical axis, interpolated between the frames.  "
         "[default: level with the drone]"),

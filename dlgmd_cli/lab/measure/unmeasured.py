@@ -1,4 +1,4 @@
-"""The table of `unmeasured`: what it tells, by the least quality.
+"""The table of `unmeasured`: what it tells.
 
 Every other clip and flight is in the half on which the point was chosen. A contact is told if the
 model was blind in the last 1.5 s. Clear time is without an alarm, more than 3 s before a contact,
@@ -19,8 +19,8 @@ from dlgmd_cli.lab.measure.scores import reference, table
 from dlgmd_cli.models.health import Measuring
 from dlgmd_cli.results.labels import read_cases
 
-# Least quality of each row, and for how long (s) it is missed.
-LEAST, LASTS_S = (0.10, 0.20, 0.25), 0.7
+# The least quality, and for how long (s) it is missed.
+LEAST, LASTS_S = 0.25, 0.7
 CLIPS = ("approach", "clips", "footage")
 # Flights into blank walls, and flights that are rendered lit, dark and noisy: seed and number.
 BLANK_SEED, HIT_SEED, N_FLIGHTS, SIZE_WH = 91000, 92000, 8, (320, 180)
@@ -36,9 +36,9 @@ class Watched(NamedTuple):
     result: dlgmd_cli.Result
     contacts_s: list[float]
 
-    def counts(self, least: float) -> npt.NDArray[np.float64]:
+    def counts(self) -> npt.NDArray[np.float64]:
         """Numbers of missed contacts and of told ones; clear time in all, and unmeasured (s)."""
-        result, measuring = self.result, Measuring(least, LASTS_S)
+        result, measuring = self.result, Measuring(LEAST, LASTS_S)
         time_s, alarms = result.time_s, result.alarms
         rows = zip(result.expansion_quality, time_s, strict=True)
         unmeasured = np.array([measuring.step(*row) for row in rows]) & ~alarms
@@ -90,18 +90,18 @@ def unmeasured() -> str:
     blank = [*rendered("blank", BLANK_SEED, np.asarray)]
     hits = rendered(None, HIT_SEED, dark, noisy)
     flights = [[*a, *b] for a, b in zip(blank, hits, strict=True)]
-    head, rows = ["least quality"], [[f"{least:.2f}"] for least in LEAST]
-    for half, name in enumerate(("choice", "other half")):
-        head += [f"{name}: flights told", "clips told", "clips' clear time unmeasured, %"]
-        for least, row in zip(LEAST, rows, strict=True):
-            row += _cells([*chain(*flights[half::2])], clips[half::2], least)
+    head = ["half", "flights told", "clips told", "clips' clear time unmeasured, %"]
+    rows = [
+        [name, *_cells([*chain(*flights[half::2])], clips[half::2])]
+        for half, name in enumerate(("choice", "other"))
+    ]
     return table(head, rows)
 
 
-def _cells(flights: list[Watched], clips: list[Watched], least: float) -> Iterator[str]:
+def _cells(flights: list[Watched], clips: list[Watched]) -> Iterator[str]:
     """The cells of a half of the flights and clips."""
     of_flights, of_clips = (
-        np.sum([one.counts(least) for one in own], axis=0) for own in (flights, clips)
+        np.sum([one.counts() for one in own], axis=0) for own in (flights, clips)
     )
     for n_missed, n_told, *_ in (of_flights, of_clips):
         yield f"{n_told:.0f} of {n_missed:.0f}"

@@ -173,7 +173,7 @@ static inline dlgmd_blind dlgmd_blind_of(dlgmd_blind health, const dlgmd_answer 
     return health == DLGMD_SOUND && answer->unmeasured ? DLGMD_UNMEASURED : health;
 }
 
-/* The state of dlgmd_health. */
+/* The state of dlgmd_health_us. */
 #define DLGMD_BLOCKS ((DLGMD_WIDTH / 4) * (DLGMD_HEIGHT / 4))
 typedef struct {
     uint32_t now_ms, first_ms;         /* time of the newest image, and of `first` */

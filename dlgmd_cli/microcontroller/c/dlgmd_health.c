@@ -1,4 +1,4 @@
-/* Whether images show what the model needs; see dlgmd_health in dlgmd.h. */
+/* Whether images show what the model needs; see dlgmd_health_us in dlgmd.h. */
 #include "dlgmd.h"
 
 #include <string.h>
