@@ -15,6 +15,8 @@ USUAL_FOV_DEG = 80.0
 BESIDE_DEG, ABOVE_DEG, BELOW_DEG = 10.0, 10.0, 16.0
 # Least share of the window that must be inside the image.
 LEAST_SHOWN = 0.4
+# How far a part of the image must reach beyond the optical axis, as a share of the width.
+_BEYOND_AXIS = 0.05
 # Angle from the optical axis beyond which nothing is in an image, in degrees.
 _STEEPEST_DEG = 89.0
 
@@ -87,4 +89,15 @@ def outside(camera: Camera, size_wh: tuple[int, int]) -> str:
     return (
         f"a camera of {camera.fov_deg:g}°, mounted {camera.tilt_deg:g}° upwards, does not see "
         "where the drone flies: there is no expansion and no time to contact"
+    )
+
+
+def beside(camera: Camera) -> str:
+    """A warning if the part, as one image of a stereo pair, lies beside the axis; or empty."""
+    left, _, right, _ = camera.crop
+    if left < 0.5 - _BEYOND_AXIS and right > 0.5 + _BEYOND_AXIS:
+        return ""
+    return (
+        "the part that is read lies beside the middle of the image, around which fov and direction "
+        "of flight count; if it is one image of a stereo pair, cut it out with FFmpeg"
     )

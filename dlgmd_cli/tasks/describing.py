@@ -10,7 +10,7 @@ from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.expansion import too_small
-from dlgmd_cli.models.windows import Camera, outside
+from dlgmd_cli.models.windows import Camera, beside, outside
 from dlgmd_cli.parameters.facts import InputFacts, Processed, Record, RunFacts
 from dlgmd_cli.parameters.keys import CORRIDOR
 from dlgmd_cli.results import csv
@@ -148,6 +148,8 @@ def doubts_of(
     lines = result.doubts()
     if unmeasured := too_small(source_wh) or outside(camera, source_wh):
         return [*lines, unmeasured] if result.rule.uses_expansion else lines
+    if result.rule.uses_expansion:
+        lines.append(beside(camera))
     if result.rule.name == CORRIDOR and not np.isfinite(result.corridor).any():
         lines.append(
             "the drone's motion is unknown, so the rule corridor compares what the window shows; "

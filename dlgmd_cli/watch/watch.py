@@ -17,7 +17,7 @@ from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, UNMEASURED
-from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, outside
+from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, beside, outside
 from dlgmd_cli.parameters.facts import Json, finite
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
@@ -392,7 +392,7 @@ def _camera_of(source: LiveSource) -> Camera:
             USUAL_FOV_DEG,
             argument("fov"),
         )
-    if camera is not None and (why := outside(camera, source.small_wh)):
+    if camera is not None and (why := outside(camera, source.small_wh) or beside(camera)):
         _log.warning("%s", why)
     return camera
 

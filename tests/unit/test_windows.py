@@ -16,7 +16,7 @@ from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.models.expansion import Expansion
 from dlgmd_cli.models.rules import LEAST_QUALITY, RATE_TIMES_TIME, Ahead
-from dlgmd_cli.models.windows import Camera, outside
+from dlgmd_cli.models.windows import Camera, beside, outside
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 from dlgmd_cli.tasks.camera import has_motion, read_headings
 
@@ -51,6 +51,14 @@ def test_a_crop_leaves_the_window_where_it_is():
     whole = Camera().window((68, 120))
     part = Camera(crop=(0.25, 0.0, 0.75, 1.0)).window((68, 60))
     assert part == pytest.approx((whole[0] - 30, whole[1], whole[2] - 30, whole[3]))
+
+
+def test_one_image_of_a_stereo_pair_is_told():
+    frames = looming(64, 96, 12, seed=3)
+    with pytest.warns(DlgmdWarning, match="lies beside the middle of the image"):
+        run(frames, fps=30, crop="48x64+0+0")
+    assert beside(Camera(crop=(0.5, 0.0, 1.0, 1.0)))
+    assert not beside(Camera()) and not beside(Camera(crop=(0.3, 0.0, 0.7, 1.0)))
 
 
 def test_the_window_follows_a_heading_and_stays_where_it_is_out_of_view():
