@@ -66,14 +66,14 @@ class Motion(NamedTuple):
     yaw_deg: float = math.nan
 
     @property
-    def is_whole(self) -> bool:
-        """Whether speed and attitude are known."""
-        return not math.isnan(self.speed_m_s + self.roll_deg + self.pitch_deg + self.yaw_deg)
+    def has_attitude(self) -> bool:
+        """Whether the attitude is known."""
+        return not math.isnan(self.roll_deg + self.pitch_deg + self.yaw_deg)
 
     @property
     def has_way(self) -> bool:
-        """Whether they are known, and the drone flies."""
-        return self.is_whole and self.speed_m_s >= LEAST_M_S
+        """Whether attitude and speed are known, and the drone flies."""
+        return self.has_attitude and self.speed_m_s >= LEAST_M_S
 
     def axes(self, tilt_deg: float) -> _Numbers:
         """The axes of a tilted camera: to its right, down and forward, as rows (3, 3).
@@ -139,7 +139,7 @@ def turned(
     From places in px of the earlier image to those in the later one; both have the `shape` (H, W).
     None if the attitude at one of them is unknown.
     """
-    if before is None or now is None or not (before.is_whole and now.is_whole):
+    if before is None or now is None or not (before.has_attitude and now.has_attitude):
         return None
     turn = now.axes(camera.tilt_deg) @ before.axes(camera.tilt_deg).T
     view = np.diag((camera.focal(shape[1]),) * 2 + (1.0,))

@@ -67,12 +67,15 @@ class Heading:
         self._camera, self._shape = camera, small_wh[::-1]
 
     def motion(self) -> Motion | None:
-        """The reported motion now; None if the camera's default direction holds."""
+        """The reported motion now, in the camera's default direction if it has none of its own.
+
+        None if it is unknown.
+        """
         motion, why = self._found()
         if why != self._why:
             self._why = why
             facts: dict[str, Json] = {"by": "default", "why": why}
-            if motion is not None:
+            if motion is not None and not why:
                 right_deg, up_deg = motion.direction
                 facts = {"by": "autopilot", "right_deg": round(right_deg, 1)}
                 facts["up_deg"] = round(up_deg, 1)
@@ -80,16 +83,19 @@ class Heading:
         return motion
 
     def _found(self) -> tuple[Motion | None, str]:
-        """The reported motion, or the reason why it has no direction."""
+        """The reported motion, and the reason why it has no direction of its own."""
         velocity, attitude = self._reports.motion, self._reports.attitude
         assert self._camera is not None  # `look` comes first
         if velocity is None:
             return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
+        angles = () if attitude is None else attitude.at(time.monotonic())
         speed_m_s = math.hypot(*velocity)
         if speed_m_s < (KEPT_M_S if self._why == "" else LEAST_M_S):
-            return None, f"slower than {LEAST_M_S:g} m/s"
+            why = f"slower than {LEAST_M_S:g} m/s"
+            return Motion(self._camera.ahead, speed_m_s, *angles), why
         direction = direction_of(velocity, self._camera.tilt_deg)
         if direction is None or self._camera.window(self._shape, direction) is None:
-            return None, "the camera does not see where the drone flies"
-        angles = () if attitude is None else attitude.at(time.monotonic())
+            # Of an unknown speed: nothing in the image is in the way.
+            why = "the camera does not see where the drone flies"
+            return Motion(self._camera.ahead, math.nan, *angles), why
         return Motion(direction, speed_m_s, *angles), ""

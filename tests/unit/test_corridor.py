@@ -115,14 +115,15 @@ def test_turns_of_the_drone_are_turned_back(turn):
 
 
 @pytest.mark.parametrize("turn", [(0, 0, 50), (0, 40, 0), (30, -20, -40)])
-def test_a_turn_alone_does_not_make_the_window_grow(turn):
+@pytest.mark.parametrize("speed_m_s", [1.0, 0.0, math.nan])
+def test_a_turn_alone_does_not_make_the_window_grow(turn, speed_m_s):
     """Far from the axis it does, unless the attitude tells of the turn."""
     rates = []
     for knows in (True, False):
         expansion = Expansion(camera=CAMERA)
         for k in range(8):
             angles = [rate_deg_s * k / 30 for rate_deg_s in turn]
-            there = Motion((25.0, 10.0), 1.0, *angles)
+            there = Motion((25.0, 10.0), speed_m_s, *angles)
             expansion.head(there if knows else Motion(there.direction))
             image = seen(there, [(WALL, (0.0, 0.0, 30.0), (40.0, 40.0))])
             found = expansion.step(image, k / 30)

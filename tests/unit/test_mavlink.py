@@ -415,9 +415,10 @@ def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
     clock.now += 0.99
     assert found() is not None and events() == []
     clock.now += 0.02
-    assert found() is None and found(0.4, -2.0) is None
+    assert found() is None and found(0.4, -2.0) == pytest.approx((0.0, 0.0))
+    assert heading.motion().pitch_deg == pytest.approx(-2.0, abs=1.0)  # a turn is known at rest
     clock.now += 1.01
-    assert found(2.0, -60.0) is None
+    assert found(2.0, -60.0) == pytest.approx((0.0, 0.0)) and not heading.motion().has_way
     assert [one["why"] for one in events()] == [
         "no attitude and velocity within 1 s",
         "slower than 0.5 m/s",

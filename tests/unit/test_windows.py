@@ -147,7 +147,7 @@ def test_what_a_table_of_headings_says(tmp_path):
     path.write_text("frame,right_deg,up_deg\n10,0,4\n20,10,6\n")
     motion = read_headings(str(path))
     assert motion(15).direction == (5.0, 5.0) and motion(9) is motion(21) is None
-    assert not motion(15).is_whole and not has_motion(str(path))
+    assert not motion(15).has_attitude and not has_motion(str(path))
     path.write_bytes(
         b"\xef\xbb\xbfup_deg,frame,right_deg\r\n4,10,0\r\n,12,\r\nnan,13,2\r\n6,20,1\r\n"
     )
