@@ -74,6 +74,7 @@ def _scene_options(command: Any) -> Any:
 @click.option(
     "--lossless/--mp4",
     default=True,
+    show_default="lossless",
     help="FFV1 in .avi, or MPEG-4, in which slow frames may become duplicates.",
 )
 @options.overwrite_option
@@ -93,7 +94,8 @@ def synth(scene: str, out: Path, **given: Any) -> None:
     translating (a bar), translating-cubes, elongating, shortening, grating, rotating (a bar), or
     benchmark. 'dlgmd lab fly' renders flights through rooms.
 
-    Writes DIR/NAME.avi and DIR/NAME.csv, which has the ground truth of each frame. benchmark takes
+    Writes DIR/NAME.avi (with --mp4 NAME.mp4; --overwrite removes the other) and DIR/NAME.csv, which
+    has the ground truth of each frame. benchmark takes
     no option of the stimulus, and writes sixteen videos, 432x240, 50 frames, into the folders of
     their classes, and DIR/annotations.json for 'dlgmd evaluate'.
     """

@@ -18,7 +18,7 @@ from dlgmd_cli.results.csv import Rows
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.store import is_url
 from dlgmd_cli.tasks.call import Setup
-from dlgmd_cli.tasks.camera import headings_misfit, not_headed
+from dlgmd_cli.tasks.camera import has_motion, headings_misfit, not_headed
 from dlgmd_cli.video.input_options import InputOptions
 from dlgmd_cli.video.opening import content_sha256
 from dlgmd_cli.video.source import Video
@@ -150,7 +150,8 @@ def doubts_of(
         return [*lines, unmeasured] if result.rule.uses_expansion else lines
     if result.rule.uses_expansion:
         lines.append(beside(camera))
-    if result.rule.name == CORRIDOR and not np.isfinite(result.corridor).any():
+    is_told = heading is not None and has_motion(heading)
+    if result.rule.name == CORRIDOR and not is_told and not np.isfinite(result.corridor).any():
         lines.append(
             "the drone's motion is unknown, so the rule corridor compares what the window shows; "
             f"give {argument('heading')} with speed and attitude"

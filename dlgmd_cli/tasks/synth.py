@@ -236,14 +236,14 @@ def _write_benchmark(
     codec, suffix = ("ffv1", "avi") if lossless else ("mpeg4", "mp4")
     names = {f"{name}.{suffix}": one for name, one in rendered.videos.items()}
     truth = {name: {TRUTH: one.truth.tolist()} for name, one in names.items()}
+    others = [f"{name}.{'mp4' if lossless else 'avi'}" for name in rendered.videos]
+    taken = [*names, *others, ANNOTATIONS]
     with (
-        store.claimed(
-            folder, ANNOTATIONS, names=[*names, ANNOTATIONS], overwrite=overwrite
-        ) as all_,
+        store.claimed(folder, ANNOTATIONS, names=taken, overwrite=overwrite) as all_,
         progress(BENCHMARK, len(names), "video") as on_video,
     ):
         # The annotations are the record: they never stand beside other videos than theirs.
-        store.remove(folder, [ANNOTATIONS])
+        store.remove(folder, [ANNOTATIONS, *others])
         for group in dict.fromkeys(one.group for one in names.values()):
             with store.claimed(folder / group) as claim, claim.staged() as stage:
                 for number, (name, one) in enumerate(names.items(), start=1):

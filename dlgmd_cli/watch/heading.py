@@ -15,6 +15,7 @@ HEADING = "heading"
 LEAST_M_S, KEPT_M_S = 0.5, 0.4
 # Seconds for which a reported attitude and velocity are valid.
 MOTION_FRESH_S = 1.0
+_UNSEEN = "the camera does not see where the drone flies"
 
 # Along the drone's own axes, in m/s: forward, to the right, upwards.
 Velocity = tuple[float, float, float]
@@ -84,18 +85,21 @@ class Heading:
 
     def _found(self) -> tuple[Motion | None, str]:
         """The reported motion, and the reason why it has no direction of its own."""
-        velocity, attitude = self._reports.motion, self._reports.attitude
+        velocity, attitude, now_s = self._reports.motion, self._reports.attitude, time.monotonic()
         assert self._camera is not None  # `look` comes first
+        ahead = self._camera.ahead
+        angles: tuple[float, ...] = ()
+        if attitude is not None and now_s - attitude.came_s <= MOTION_FRESH_S:
+            angles = attitude.at(now_s)
         if velocity is None:
-            return None, f"no attitude and velocity within {MOTION_FRESH_S:g} s"
-        angles = () if attitude is None else attitude.at(time.monotonic())
+            # The attitude alone tells of turns.
+            why = f"no attitude and velocity within {MOTION_FRESH_S:g} s"
+            return Motion(ahead, math.nan, *angles) if angles else None, why
         speed_m_s = math.hypot(*velocity)
         if speed_m_s < (KEPT_M_S if self._why == "" else LEAST_M_S):
-            why = f"slower than {LEAST_M_S:g} m/s"
-            return Motion(self._camera.ahead, speed_m_s, *angles), why
+            return Motion(ahead, speed_m_s, *angles), f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(velocity, self._camera.tilt_deg)
-        if direction is None or self._camera.window(self._shape, direction) is None:
-            # Of an unknown speed: nothing in the image is in the way.
-            why = "the camera does not see where the drone flies"
-            return Motion(self._camera.ahead, math.nan, *angles), why
-        return Motion(direction, speed_m_s, *angles), ""
+        if direction is None:
+            return Motion(ahead, math.nan, *angles), _UNSEEN
+        is_seen = self._camera.window(self._shape, direction) is not None
+        return Motion(direction, speed_m_s, *angles), "" if is_seen else _UNSEEN

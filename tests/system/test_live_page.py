@@ -118,8 +118,7 @@ def test_page(browser, watch, place, look):
     reader.painted("chart-level", "accent")
     reader.painted("chart-latency_ms", "ink")
 
-    reader.until("find('state').className === 'alarm'")
-    assert page.text_content("#state").startswith("ALARM (expansion), ahead")
+    reader.until("find('state').textContent.startsWith('ALARM (expansion), ahead')")
     reader.painted("chart-ttc_s", "accent")
     reader.until("find('state').textContent === 'No alarm'")
     assert int(page.text_content("#alarms")) >= 1

@@ -51,6 +51,8 @@ def test_the_basic_videos_are_those_of_the_benchmark(tmp_path):
     assert rate == 30 and np.array_equal(np.array(frames)[..., 1], found.frames[0])
     with pytest.raises(OutputExistsError):
         dlgmd_cli.synth("benchmark", out=tmp_path)
+    dlgmd_cli.synth("benchmark", out=tmp_path, lossless=False, overwrite=True)
+    assert not [*tmp_path.rglob("*.avi")] and len([*tmp_path.rglob("*.mp4")]) == 16
     found.save(tmp_path / "saved")
     assert np.array_equal(np.load(tmp_path / "saved/light_looming.npy"), found.frames[1])
     with pytest.raises(ParameterError, match="speed does not work with benchmark"):

@@ -24,7 +24,7 @@ from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.watch import links, mavlink, outputs
 from dlgmd_cli.watch.autopilot import JERKS, braking_modes, known_modes
 from dlgmd_cli.watch.heading import Heading, along_axes, direction_of
-from dlgmd_cli.watch.reports import Reports
+from dlgmd_cli.watch.reports import Attitude, Reports
 from dlgmd_cli.watch.watch import Answer
 
 names = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
@@ -386,6 +386,24 @@ def test_the_direction_of_flight_in_the_view_of_the_camera(attitude, velocity, t
     assert direction_of(backwards, tilt_deg) is None
 
 
+def test_the_attitude_alone_tells_of_turns(clock):
+    reports, camera = Reports(), Camera(tilt_deg=10.0)
+    heading = Heading(reports)
+    heading.look(camera, (240, 135))
+    assert heading.motion() is None
+    for velocity in (None, (0.1, 0.0, 0.0), (-2.0, 0.0, 0.0)):  # unknown, at rest, backwards
+        reports.motion = velocity
+        reports.attitude = Attitude((0.1, 0.2, 0.3), (0.0, 0.0, 0.0), clock.now)
+        motion = heading.motion()
+        assert motion.direction == camera.ahead == (0.0, -10.0) and not motion.has_way
+        assert motion[2:] == pytest.approx(np.degrees((0.1, 0.2, 0.3)))
+        reports.attitude = None
+        assert velocity is None or not heading.motion().has_attitude
+    reports.motion, reports.attitude = None, Attitude((0.1, 0.2, 0.3), (0.0, 0.0, 0.0), clock.now)
+    clock.now += 1.01
+    assert heading.motion() is None
+
+
 def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
     """Smoothed; an event says when it comes, and why it goes. Impossible angles are ignored."""
     send, reports = braking()
@@ -418,7 +436,7 @@ def test_the_heading_follows_what_is_fresh_fast_and_in_view(link, clock):
     assert found() is None and found(0.4, -2.0) == pytest.approx((0.0, 0.0))
     assert heading.motion().pitch_deg == pytest.approx(-2.0, abs=1.0)  # a turn is known at rest
     clock.now += 1.01
-    assert found(2.0, -60.0) == pytest.approx((0.0, 0.0)) and not heading.motion().has_way
+    assert found(2.0, -60.0) == pytest.approx((0.0, 60.0), abs=1.0)  # out of view
     assert [one["why"] for one in events()] == [
         "no attitude and velocity within 1 s",
         "slower than 0.5 m/s",

@@ -146,6 +146,7 @@ WRONG_USAGE = [
     (f"{LINK} --mavlink-brake --mavlink-modes ''", "works only with"),
     (f"{LINK} --mavlink-brake-mode BRAKE", "--mavlink-brake-mode works only with"),
     (f"{LINK} --mavlink-component 1", "'--mavlink-component': 1 is not at least 2"),
+    (f"{LINK} --mavlink-brake --mavlink-modes AUTO --speed-m-s -1", "-1 is "),
     (
         f"{LINK} --mavlink-brake --mavlink-modes AUTO --speed-m-s 2",
         "Add --brake, or give --speed-m-s autopilot.",
