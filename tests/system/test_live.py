@@ -980,9 +980,9 @@ def recorded(frames, folder, model=3, fps=30.0):
 
 
 def test_a_recording_with_headings_repeats(tmp_path):
-    """The motion is a table of frames, with nothing where none was known."""
+    """The motion is a table of frames: the attitude where it alone was known, nothing without."""
     frames, reports = looming_frames(n_frames=16, width=64, height=48), Reports()
-    reports.attitude = Attitude((0.0, 0.02, 0.5), (0.0, 0.0, 0.1), time.monotonic())
+    attitude = reports.attitude = Attitude((0.0, 0.02, 0.5), (0.0, 0.0, 0.1), time.monotonic())
     source, watched = played(frames, model_fps=30.0), {"reports": reports}
     watched["heading"] = Heading(reports)
     with recording_of(source, tmp_path / "r", watched=watched) as (recording, watch):
@@ -992,7 +992,9 @@ def test_a_recording_with_headings_repeats(tmp_path):
                 side = (one.frame.index % 5) / 10.0
                 is_known = not 10 <= one.frame.index < 13
                 reports.motion = (2.0, side, 0.0) if is_known else None
-    assert "\n12,,,,,,\n" in (tmp_path / "r" / "heading.csv").read_text()
+                reports.attitude = None if one.frame.index == 12 else attitude
+    text = (tmp_path / "r" / "heading.csv").read_text()
+    assert "\n12,0.0,-0.0,nan,0.0,1.1" in text and "\n13,,,,,,\n" in text
     np.save(tmp_path / "frames.npy", frames)
     first = read_result(tmp_path / "r")
     again = run(tmp_path / "frames.npy", tmp_path / "r" / "run.yaml", input_fps=30)
