@@ -126,9 +126,9 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     metavar="M/S|autopilot",
     help="With the rule expansion, corridor or ttc: alarm in time for a stop from this speed, "
     "instead of at the rule's threshold. 'autopilot' takes the speed that --mavlink receives; "
-    "without a speed, or at a standstill, the rule's threshold applies. Unless --brake is given, "
-    "the stop is then the one that the autopilot tells with --mavlink-brake, which otherwise needs "
-    "--brake.",
+    "without a speed, or at a standstill, the rule's threshold applies. With --mavlink-brake, "
+    "'autopilot' also takes the stop that the autopilot tells, unless --brake is given; a speed in "
+    "M/S needs --brake.",
 )
 @options.stopping_options
 @receiver_option(

@@ -95,9 +95,9 @@ def synth(scene: str, out: Path, **given: Any) -> None:
     benchmark. 'dlgmd lab fly' renders flights through rooms.
 
     Writes DIR/NAME.avi (with --mp4 NAME.mp4; --overwrite removes the other) and DIR/NAME.csv, which
-    has the ground truth of each frame. benchmark takes
-    no option of the stimulus, and writes sixteen videos, 432x240, 50 frames, into the folders of
-    their classes, and DIR/annotations.json for 'dlgmd evaluate'.
+    has the ground truth of each frame. benchmark takes no option of the stimulus, and writes
+    sixteen videos, 432x240, 50 frames, into the folders of their classes, and DIR/annotations.json
+    for 'dlgmd evaluate'.
     """
     from dlgmd_cli.tasks import synth as task
 

@@ -84,7 +84,7 @@ class Heading:
         return motion
 
     def _found(self) -> tuple[Motion | None, str]:
-        """The reported motion, and the reason why it has no direction of its own."""
+        """The reported motion, and why the default direction holds; empty if it does not."""
         velocity, attitude, now_s = self._reports.motion, self._reports.attitude, time.monotonic()
         assert self._camera is not None  # `look` comes first
         ahead = self._camera.ahead
@@ -100,6 +100,7 @@ class Heading:
             return Motion(ahead, speed_m_s, *angles), f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(velocity, self._camera.tilt_deg)
         if direction is None:
+            # Backwards: nothing ahead is in the way, as if the speed were unknown.
             return Motion(ahead, math.nan, *angles), _UNSEEN
         is_seen = self._camera.window(self._shape, direction) is not None
         return Motion(direction, speed_m_s, *angles), "" if is_seen else _UNSEEN

@@ -298,6 +298,13 @@ def test_crop_and_mask(tmp_path, caplog):
         source.take(SOON_S)
 
 
+@pytest.mark.parametrize(("crop", "is_told"), [("40x60+0+0", True), ("60x60+0+0", False)])
+def test_one_image_of_a_stereo_pair_is_told(crop, is_told, caplog):
+    picture = np.full((60, 80), 20, np.uint8)
+    answered(played([picture], InputOptions(crop=crop)), alarm_of("flight"))
+    assert ("lies beside the middle of the image" in caplog.text) == is_told
+
+
 @pytest.mark.parametrize("is_wanted", [False, True])
 def test_pictures_come_only_when_they_are_wanted(is_wanted):
     source = played([np.full((360, 1280, 3), (10, 20, 30), np.uint8)])

@@ -151,6 +151,11 @@ WRONG_USAGE = [
         f"{LINK} --mavlink-brake --mavlink-modes AUTO --speed-m-s 2",
         "Add --brake, or give --speed-m-s autopilot.",
     ),
+    (
+        f"{LINK.replace('live 0', 'live gone.mp4')} --mavlink-brake --mavlink-modes AUTO "
+        "--speed-m-s 2 --brake px4",
+        "there is no such source",
+    ),
     (f"{LINK} --speed-m-s autopilot --set 9", "works only with the rules expansion, corridor"),
     (f"{LINK} --speed-m-s autopilot --record x", "a result has one threshold"),
     (f"{LINK} --speed-m-s 0", "Invalid value for '--speed-m-s'"),

@@ -112,7 +112,7 @@ def of_group(group: str, fps: float = 60.0, *, small: bool = False) -> Compared:
 
 def announced() -> str:
     """Approaches that alarms announce, by group, and false alarms: models, LK, an oracle."""
-    rows = evaluated(reference("approach"), *MODELS, baselines=True)["evaluate"]
+    rows = evaluated(reference("approach"), *MODELS, baselines=True)
     shown = [row for row in rows if row["at"] == ("best" if row["model"] == LK else "default")]
     models = dict.fromkeys(row["model"] for row in shown)
     of = {row["target"]: row["contacts"] for row in rows}

@@ -34,11 +34,11 @@ def reference(name: str) -> Path:
 
 
 @cache
-def evaluated(labels: Path, *models: str | int, baselines: bool = False) -> dict[str, list[Row]]:
-    """What `evaluate` writes: name of a table -> its rows."""
+def evaluated(labels: Path, *models: str | int, baselines: bool = False) -> list[Row]:
+    """The rows of the evaluate.csv that `evaluate` writes."""
     with tempfile.TemporaryDirectory() as folder:
         dlgmd_cli.evaluate(labels, [*models], baselines=baselines, out=folder)
-        return {path.stem: [*rows_of(path)] for path in Path(folder).glob("*.csv")}
+        return [*rows_of(Path(folder, "evaluate.csv"))]
 
 
 def rows_of(path: Path) -> Iterator[Row]:
@@ -52,6 +52,6 @@ def of_all(labels: Path, *models: str | int) -> list[Row]:
     grouped = ("target", "kind", "manner")
     return [
         row
-        for row in evaluated(labels, *models)["evaluate"]
+        for row in evaluated(labels, *models)
         if row["at"] == "default" and all(row[key] == "all" for key in grouped)
     ]
