@@ -169,11 +169,10 @@ class Alarm:
             camera's default direction.
         speed_m_s, roll_deg, pitch_deg, yaw_deg : float
             Speed, and the drone's attitude: positive with the right side down, the nose up, and to
-            the right. With them, `corridor` is measured, which the rule `corridor` compares.
+            the right. With them and the direction, `corridor` is measured, which the rule
+            `corridor` compares. The attitude alone tells of turns.
         """
-        is_known = math.isfinite(right_deg) and math.isfinite(up_deg)
-        motion = Motion((right_deg, up_deg), speed_m_s, roll_deg, pitch_deg, yaw_deg)
-        self._expansion.head(motion if is_known else None)
+        self._expansion.head(Motion((right_deg, up_deg), speed_m_s, roll_deg, pitch_deg, yaw_deg))
 
     def look(self, camera: Camera) -> None:
         """Take the angles of another camera from now on."""

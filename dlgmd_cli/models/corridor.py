@@ -46,20 +46,18 @@ _Numbers = npt.NDArray[np.float64]
 
 
 class Motion(NamedTuple):
-    """How a drone flies when an image is taken.
+    """How a drone flies when an image is taken; what is not known is NaN.
 
     Attributes
     ----------
     direction : (float, float)
         To the right and upwards from the camera's axis, in degrees.
     speed_m_s : float
-        NaN if unknown.
     roll_deg, pitch_deg, yaw_deg : float
-        The drone's attitude: positive with the right side down, the nose up, and to the right. NaN
-        if unknown.
+        The drone's attitude: positive with the right side down, the nose up, and to the right.
     """
 
-    direction: Direction
+    direction: Direction = (math.nan, math.nan)
     speed_m_s: float = math.nan
     roll_deg: float = math.nan
     pitch_deg: float = math.nan
@@ -131,15 +129,13 @@ def fastest(
     return UNKNOWN if found is None else way.fastest(*found)
 
 
-def turned(
-    before: Motion | None, now: Motion | None, camera: Camera, shape: tuple[int, ...]
-) -> _Numbers | None:
+def turned(before: Motion, now: Motion, camera: Camera, shape: tuple[int, ...]) -> _Numbers | None:
     """Where far points of an image go as the drone turns until a later one: a homography, (3, 3).
 
     From places in px of the earlier image to those in the later one; both have the `shape` (H, W).
     None if the attitude at one of them is unknown.
     """
-    if before is None or now is None or not (before.has_attitude and now.has_attitude):
+    if not (before.has_attitude and now.has_attitude):
         return None
     turn = now.axes(camera.tilt_deg) @ before.axes(camera.tilt_deg).T
     view = np.diag((camera.focal(shape[1]),) * 2 + (1.0,))

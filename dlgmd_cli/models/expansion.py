@@ -117,11 +117,11 @@ class _Mean:
 
 
 class _Image(NamedTuple):
-    """An image in grey levels, its time, and the drone's motion then, if it is known."""
+    """An image in grey levels, its time, and the drone's motion then."""
 
     grey: Grey
     time_s: float
-    motion: Motion | None
+    motion: Motion
 
 
 class Expansion:
@@ -163,7 +163,7 @@ class Expansion:
     ) -> None:
         self._deflickers, self._flicker, self._at_rest = deflicker, Flicker(), at_rest
         self.camera = camera or Camera()
-        self._motion: Motion | None = None
+        self._motion = Motion()
         self._filling: Filling | None = None
         self._shown: Flags | None = None
         self.reset()
@@ -174,7 +174,7 @@ class Expansion:
         self._earlier: deque[_Image] = deque()
         self._ahead = _Mean()
         self._still: Grey | None = None
-        self._still_motion: Motion | None = None
+        self._still_motion = Motion()
         self._still_s, self._near, self._place = 0.0, 0.0, (0.0, 0.0)
         # The last two rates in the way, and the time between them; none if the motion is unknown.
         self._in_way: list[float] = []
@@ -194,10 +194,10 @@ class Expansion:
         """Measure with another camera from now on, see the class."""
         self.camera = camera
 
-    def head(self, motion: Motion | None) -> None:
-        """Measure around a direction of flight from now on; None for the camera's default.
+    def head(self, motion: Motion) -> None:
+        """Measure around a direction of flight, and turn images back, from now on.
 
-        The camera's default direction also holds if the window would leave the image.
+        The camera's default direction holds if it is unknown, or the window would leave the image.
         """
         self._motion = motion
 
@@ -225,12 +225,11 @@ class Expansion:
         self._earlier.append(now)
         if before is None or min(grey.shape) < LEAST_SIDE:
             return Measured()
-        motion, window = self._motion, None
-        if motion is not None:
-            window = self.camera.window(grey.shape, motion.direction)
+        motion = self._motion
+        window = self.camera.window(grey.shape, motion.direction)
         if window is None:
             # The image does not show where the drone flies: the default direction holds.
-            motion, window = None, self.camera.window(grey.shape)
+            motion, window = Motion(), self.camera.window(grey.shape)
         if window is None:
             return Measured()
         step_s, age_s = (s if s > 0.0 else USUAL_S for s in (step_s, at_s - before.time_s))
@@ -258,7 +257,7 @@ class Expansion:
             self._earlier.popleft()
         return self._earlier[0] if self._earlier else None
 
-    def _look_around(self, grey: Grey, step_s: float, motion: Motion | None) -> None:
+    def _look_around(self, grey: Grey, step_s: float, motion: Motion) -> None:
         """Measure what is in the way, or approaches a camera at rest, every `LEAST_AGE_S`.
 
         A copy of the last image, as a stalled stream shows it, has no time of its own: the next
@@ -276,15 +275,15 @@ class Expansion:
             self._look(self._still, grey, motion)
             self._still, self._still_s, self._still_motion = grey, 0.0, motion
 
-    def _look(self, before: Grey, now: Grey, motion: Motion | None) -> None:
+    def _look(self, before: Grey, now: Grey, motion: Motion) -> None:
         """Measure what is in the way if the motion is known, else before a camera at rest."""
-        then = self._still_motion
-        if then is None or motion is None or not (then.has_way and motion.has_way):
+        if not (self._still_motion.has_way and motion.has_way):
             growth, self._place = approaching(before, now, self._shown)
             self._near, self._in_way = growth / self._still_s, []
             return
         age_s = self._still_s
-        rate, place = fastest(before, now, (then, motion), self.camera, age_s, self._shown)
+        motions = self._still_motion, motion
+        rate, place = fastest(before, now, motions, self.camera, age_s, self._shown)
         self._near, self._between_s = 0.0, self._still_s
         self._in_way = [] if math.isnan(rate) else [*self._in_way[-1:], rate]
         self._place = place if rate > 0.0 else self._place

@@ -33,7 +33,7 @@ class Session:
     sizes_wh : sequence of (int, int)
         Width and height of the frames of each model, if a source gives several sizes.
     headings : callable, optional
-        Frame number -> motion of the drone, None if unknown.
+        Frame number -> motion of the drone.
     health : Health, optional
         Says why the images show nothing. Without it, `Detection.blind` says only whether the
         expansion cannot be measured.
@@ -54,7 +54,7 @@ class Session:
         models: Sequence[Model],
         expansion: Expansion | None = None,
         sizes_wh: Sequence[tuple[int, int]] = (),
-        headings: Callable[[int], Motion | None] | None = None,
+        headings: Callable[[int], Motion] | None = None,
         health: Health | None = None,
     ) -> None:
         self.models, self.expansion, self._headings = [*models], expansion, headings

@@ -58,7 +58,7 @@ class Camera:
     def window(self, shape: tuple[int, ...], direction: Direction | None = None) -> Bounds | None:
         """The window around a direction of flight, or around `ahead`, in an image (H, W).
 
-        None if less than `LEAST_SHOWN` of the window is inside the image.
+        None if less than `LEAST_SHOWN` of the window is inside the image, or an angle is NaN.
         """
         right_deg, up_deg = self.ahead if direction is None else direction
         (height, width), (axis_x, axis_y) = shape, self.axis(shape)
@@ -66,8 +66,8 @@ class Camera:
         x = [axis_x + focal * _tangent(right_deg + deg) for deg in (-BESIDE_DEG, BESIDE_DEG)]
         y = [axis_y + focal * _tangent(-up_deg + deg) for deg in (-ABOVE_DEG, BELOW_DEG)]
         shown = _inside(x, width) * _inside(y, height)
-        # A window behind the camera has no size at all.
-        if not shown or shown < LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0]):
+        # A window behind the camera has no size at all, and one without a direction NaN.
+        if not 0.0 < shown >= LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0]):
             return None
         return x[0], y[0], x[1], y[1]
 

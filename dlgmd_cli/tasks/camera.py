@@ -26,11 +26,11 @@ HEADING_COLUMNS = ("frame", "right_deg", "up_deg")
 MOTION_COLUMNS = ("speed_m_s", "roll_deg", "pitch_deg", "yaw_deg")
 
 
-def read_headings(path: str) -> Callable[[int], Motion | None]:
+def read_headings(path: str) -> Callable[[int], Motion]:
     """The motion at a frame, interpolated in a table.
 
-    The motion is None outside the table, and between two rows if either has no direction. What the
-    table does not have is NaN.
+    A number is unknown outside the table, where the table lacks it, and between two rows if either
+    lacks it.
 
     Raises ParameterError if the file is not a table of headings.
     """
@@ -42,11 +42,11 @@ def read_headings(path: str) -> Callable[[int], Motion | None]:
     known = np.isfinite(yaw)
     yaw[known] = np.unwrap(yaw[known], period=360.0)
 
-    def motion(frame: int) -> Motion | None:
+    def motion(frame: int) -> Motion:
         if not frames[0] <= frame <= frames[-1]:
-            return None
+            return Motion()
         right, up, *others = (float(np.interp(frame, frames, numbers)) for numbers in columns)
-        return None if math.isnan(right + up) else Motion((right, up), *others)
+        return Motion((right, up), *others)
 
     return motion
 
@@ -90,9 +90,7 @@ def not_headed(
     """A warning with the number of frames with a usable heading; empty if all frames have one."""
     motion_at, shape = read_headings(path), picture_wh[::-1]
     motions = [motion_at(int(frame)) for frame in frames]
-    n_headed = sum(
-        one is not None and camera.window(shape, one.direction) is not None for one in motions
-    )
+    n_headed = sum(camera.window(shape, one.direction) is not None for one in motions)
     if n_headed == len(motions):
         return ""
     return (

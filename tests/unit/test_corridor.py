@@ -116,21 +116,22 @@ def test_turns_of_the_drone_are_turned_back(turn):
 
 @pytest.mark.parametrize("turn", [(0, 0, 50), (0, 40, 0), (30, -20, -40)])
 @pytest.mark.parametrize("speed_m_s", [1.0, 0.0, math.nan])
-def test_a_turn_alone_does_not_make_the_window_grow(turn, speed_m_s):
+@pytest.mark.parametrize("direction", [(25.0, 10.0), Motion().direction])
+def test_a_turn_alone_does_not_make_the_window_grow(turn, speed_m_s, direction):
     """Far from the axis it does, unless the attitude tells of the turn."""
-    rates = []
+    rates, camera = [], Camera(tilt_deg=-20.0)  # without a direction, the window is 20° up
     for knows in (True, False):
-        expansion = Expansion(camera=CAMERA)
+        expansion = Expansion(camera=camera)
         for k in range(8):
             angles = [rate_deg_s * k / 30 for rate_deg_s in turn]
-            there = Motion((25.0, 10.0), speed_m_s, *angles)
-            expansion.head(there if knows else Motion(there.direction))
-            image = seen(there, [(WALL, (0.0, 0.0, 30.0), (40.0, 40.0))])
+            there = Motion(direction, speed_m_s, *angles)
+            expansion.head(there if knows else Motion(direction))
+            image = seen(there, [(WALL, (0.0, 0.0, 30.0), (60.0, 60.0))], camera.tilt_deg)
             found = expansion.step(image, k / 30)
         rates.append((abs(found.expansion), abs(found.expansion_upright)))
     known, unknown = rates
-    assert max(known) < 0.02 and max(unknown) > 0.1
-    for missing in (None, Motion(LEVEL.direction), LEVEL._replace(yaw_deg=math.nan)):
+    assert max(known) < 0.03 and max(unknown) > 5.0 * max(known)
+    for missing in (Motion(), Motion(LEVEL.direction), LEVEL._replace(yaw_deg=math.nan)):
         assert turned(missing, LEVEL, CAMERA, SHAPE) is None
         assert turned(LEVEL, missing, CAMERA, SHAPE) is None
 
@@ -206,8 +207,9 @@ def test_two_looks_must_agree_and_the_time_to_contact_follows_the_way():
 @pytest.mark.parametrize(
     "told",
     [
-        lambda k: None,
+        lambda k: Motion(),
         lambda k: Motion((0.0, 0.0)),
+        lambda k: LEVEL._replace(direction=Motion().direction),
         lambda k: LEVEL._replace(speed_m_s=0.3),
         lambda k: LEVEL._replace(yaw_deg=math.nan),
         # The image does not show where the drone flies to: that nothing is there is not known.
@@ -221,7 +223,7 @@ def test_without_a_whole_motion_there_is_no_way(told):
 
 
 def test_a_motion_that_is_lost_ends_the_rate():
-    rows = flight(Expansion(), lambda k: LEVEL if k < 12 else None)
+    rows = flight(Expansion(), lambda k: LEVEL if k < 12 else Motion())
     assert rows[11].corridor > 0.0 and math.isnan(rows[-1].corridor)
 
 

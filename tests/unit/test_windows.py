@@ -67,9 +67,9 @@ def test_the_window_follows_a_heading_and_stays_where_it_is_out_of_view():
     assert camera.window((68, 120), (60.0, 0.0)) is None
     frames = looming(68, 120, 12, seed=3)
     answers = []
-    for direction in (None, (60.0, 0.0), (180.0, 0.0), (0.0, 0.0), (8.0, 0.0)):
+    for direction in ((math.nan, 0.0), (60.0, 0.0), (180.0, 0.0), (0.0, 0.0), (8.0, 0.0)):
         expansion = Expansion(camera=camera)
-        expansion.head(None if direction is None else Motion(direction))
+        expansion.head(Motion(direction))
         answers.append(repr([expansion.step(frame, t / 30) for t, frame in enumerate(frames)]))
     assert len({*answers[:4]}) == 1 and answers[4] != answers[0]
 
@@ -146,13 +146,14 @@ def test_what_a_table_of_headings_says(tmp_path):
     path = tmp_path / "h.csv"
     path.write_text("frame,right_deg,up_deg\n10,0,4\n20,10,6\n")
     motion = read_headings(str(path))
-    assert motion(15).direction == (5.0, 5.0) and motion(9) is motion(21) is None
+    assert motion(15).direction == (5.0, 5.0)
+    assert all(math.isnan(angle) for frame in (9, 21) for angle in motion(frame).direction)
     assert not motion(15).has_attitude and not has_motion(str(path))
     path.write_bytes(
         b"\xef\xbb\xbfup_deg,frame,right_deg\r\n4,10,0\r\n,12,\r\nnan,13,2\r\n6,20,1\r\n"
     )
     motion = read_headings(str(path))
-    known = [frame for frame in range(30) if motion(frame) is not None]
+    known = [frame for frame in range(30) if math.isfinite(sum(motion(frame).direction))]
     assert known == [10, 20] and motion(20).direction == (1.0, 6.0)
     path.write_text(
         "frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n"
@@ -160,6 +161,9 @@ def test_what_a_table_of_headings_says(tmp_path):
     )
     assert has_motion(str(path))
     assert read_headings(str(path))(5) == ((0.0, 4.0), 2.5, 1.0, -4.0, pytest.approx(180.0))
+    path.write_text("frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n0,,,0.1,1,2,3\n")
+    standing = read_headings(str(path))(0)
+    assert standing[1:] == (0.1, 1.0, 2.0, 3.0) and standing.has_attitude and not standing.has_way
     head = "frame,right_deg,up_deg\n"
     for text, why in (
         (
