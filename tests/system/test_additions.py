@@ -77,9 +77,9 @@ def test_a_rule(changed):
     changed(RULE)
     run("--format=none", "--alarm", "both", "--param", "kappa=3e-4")
     (alarm,) = csv_rows("out/loom/alarms.csv")
-    assert alarm["rule"] == "both" and float(alarm["peak_signal"]) <= 0.5
-    assert "- `both`: a spike and an expansion within 0.5 s" in python("-c", TOLD)
-    assert "both: a spike and an expansion within 0.5 s" in run("--help")
+    assert alarm["rule"] == "both" and float(alarm["peak_signal"]) >= 0.47
+    assert "- `both`: a spike at expansion_alarm or more" in python("-c", TOLD)
+    assert "both: a spike at expansion_alarm or more" in run("--help")
 
 
 def test_a_file(changed):
