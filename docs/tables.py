@@ -11,7 +11,7 @@ from dlgmd_cli.models.columns import TABLES as PER_FRAME
 from dlgmd_cli.models.columns import columns_of
 from dlgmd_cli.models.detection import AlarmSpan
 from dlgmd_cli.parameters.keys import RULES
-from dlgmd_cli.parameters.presets import MODELS, PRESETS, load_config, load_preset, preset_names
+from dlgmd_cli.parameters.presets import MODELS, load_preset, preset_names
 from dlgmd_cli.results.csv import COLUMNS
 from dlgmd_cli.results.files import FILES
 
@@ -32,18 +32,13 @@ def _shown(value: Any) -> str:
 
 
 def parameters() -> str:
-    """The keys of the D-LGMD, with their defaults and what its presets have instead."""
+    """The keys of the D-LGMD, with their defaults."""
     kind = MODELS["dlgmd"]
-    presets = [name for name in PRESETS if load_config(name).model == "dlgmd"]
-    given = [load_config(name).values for name in presets]
-    rows = []
-    for key, spec in kind.specs().items():
-        default = kind.defaults()[key]
-        others = [values.get(key, default) for values in given]
-        cells = ["" if value == default else _shown(value) for value in others]
-        rows.append([f"`{key}`", spec.symbol, spec.unit, _shown(default), *cells, spec.meaning])
-    names = [f"`{name}`" for name in presets]
-    return table(["key", "symbol", "unit", "default", *names, "meaning"], rows)
+    rows = [
+        [f"`{key}`", spec.symbol, spec.unit, _shown(kind.defaults()[key]), spec.meaning]
+        for key, spec in kind.specs().items()
+    ]
+    return table(["key", "symbol", "unit", "default", "meaning"], rows)
 
 
 def sets() -> str:
@@ -103,7 +98,7 @@ def meaning(group: str) -> str:
 
 
 def _cited(one: dict[str, Any]) -> str:
-    """A publication of CITATION.cff in short, with its address."""
+    """A publication of CITATION.cff: authors, year and address, or the title if it has none."""
     families = [
         family
         for who in one["authors"]
@@ -118,9 +113,10 @@ def _cited(one: dict[str, Any]) -> str:
     address = one.get("url") or one.get("repository-code") or ""
     if "doi" in one:
         address = f"https://doi.org/{one['doi']}"
-    year = f", {one['year']}" if "year" in one else ""
-    link = f", [{address.removeprefix('https://')}]({address})" if address else ""
-    return f'{names}, "{" ".join(one["title"].split())}"{year}{link}'
+    year = f" {one['year']}" if "year" in one else ""
+    title = f'"{" ".join(one["title"].split())}"'
+    link = f"[{address.removeprefix('https://')}]({address})" if address else title
+    return f"{names}{year}, {link}"
 
 
 def references(group: str) -> str:

@@ -42,12 +42,18 @@ def commands_in(content):
             yield command, target
 
 
-def table_below(page, heading):
-    """The rows of the first tables in a section, as their cells without backquotes."""
+def section_of(page, heading):
+    """What stands below a heading, up to the next."""
     (section,) = re.findall(
         rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text_of(page), re.DOTALL | re.MULTILINE
     )
-    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    return section
+
+
+def table_below(page, heading):
+    """The rows of the first tables in a section, as their cells without backquotes."""
+    lines = section_of(page, heading).splitlines()
+    rows = [line.strip("|").split("|") for line in lines if line.startswith("|")]
     return [[cell.strip() for cell in row] for row in rows if not set(row[0]) <= {"-", " "}]
 
 

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import click
 import pytest
 import yaml
-from documents import PAGES, ROOT, commands, names_in, table_below, text_of
+from documents import PAGES, ROOT, commands, names_in, section_of, table_below, text_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands import console
@@ -149,13 +149,11 @@ def test_extras_and_scenes_and_their_truth():
     named = [names_in(first)[0] for first, _ in table_below("docs/start.md", "Install")[1:]]
     known = re.findall(r"^(\w+) = \[", extras, re.MULTILINE)
     assert {*named} == {*known} - {"test", "docs", "bench", "dev"}
-    truth = [
-        n for row in table_below("docs/flights.md", "Ground truth")[1:] for n in names_in(row[0])
-    ]
-    assert truth == [*Truth._fields]
-    scenes = [n for row in table_below("docs/flights.md", "Scenes")[1:] for n in names_in(row[0])]
-    assert {*scenes} == {*SCENES}
-    assert "\n`benchmark` is " in text_of("docs/flights.md")
+    assert names_in(section_of("docs/flights.md", "Ground truth")) == [*Truth._fields]
+    scenes = section_of("docs/flights.md", "Scenes")
+    (listed,) = re.findall(r"^(- .*?)\n\n", scenes, re.DOTALL | re.MULTILINE)
+    assert {n for n in names_in(listed) if n[0] != "-"} == {*SCENES}
+    assert "\n`benchmark` is " in scenes
 
 
 def test_the_first_page_has_the_version():
