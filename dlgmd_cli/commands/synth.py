@@ -69,12 +69,12 @@ def _scene_options(command: Any) -> Any:
 @click.command(cls=Command)
 @click.argument("scene", metavar="SCENE", shell_complete=_complete_scene)
 @options.folder_option(
-    "-o", "--out", default=Path(), show_default="here", help="Folder for the files."
+    "-o", "--out", default=Path(), show_default=True, help="Folder for the files."
 )
 @click.option(
     "--lossless/--mp4",
     default=True,
-    show_default="lossless",
+    show_default=True,
     help="FFV1 in .avi, or MPEG-4, in which slow frames may become duplicates.",
 )
 @options.overwrite_option
