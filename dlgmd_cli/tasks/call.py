@@ -294,7 +294,7 @@ def at_threshold(
         refuse({"brake": brake}, f"works only with {need}", f"Add {need}.")
     if speed_m_s is not None:
         stopping.require_followed(params, threshold)
-        speed = stopping.speed_of(speed_m_s)
+        speed = stopping.followed_speed(speed_m_s)
         params = stopping.following(params, stopping.brake_of(brake), speed)
     elif threshold is not None:
         rule = rule_of(params)

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import DlgmdWarning, ParameterError
 from dlgmd_cli.models.rules import RATE_TIMES_TIME
-from dlgmd_cli.models.stopping import Brake, brake_of, following, speed_of
+from dlgmd_cli.models.stopping import Brake, brake_of, followed_speed, following, speed_of
 from dlgmd_cli.parameters.presets import load_config, parameters_of
 
 # The distances (m) of ArduCopter 4.7-dev in its simulator, in the mode BRAKE.
@@ -124,6 +124,9 @@ def test_speeds():
     for wrong in ("autopilot", "0.1", "fast", 200.0):
         with pytest.raises(ParameterError, match="speed"):
             speed_of(wrong)
+    assert followed_speed(3) == 3.0
+    with pytest.warns(DlgmdWarning, match="do not brake by the alarm at 5 m/s"):
+        assert followed_speed("5") == 5.0
 
 
 def test_a_threshold_leaves_time_for_the_stop_and_a_margin():
