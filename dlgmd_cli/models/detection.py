@@ -61,7 +61,7 @@ class Detection(Measured, Response):
     )
     signal_limit: str = column(
         "–",
-        "what holds `signal` below `expansion`: [`ground`, `quality` or "
+        "why `signal` is below `expansion`: [`ground`, `quality` or "
         "`approach`](questions.md#why-is-there-no-alarm-here)",
         kind=str,
         default="",
@@ -69,7 +69,7 @@ class Detection(Measured, Response):
     alarm: bool = column("0, 1", "whether the alarm is on", MP, SPIKES, kind=bool, default=False)
     repeat: bool = column(
         "0, 1",
-        "whether the row is a copy; 0 before the model's first response",
+        "whether the row is a copy (always 0 before the model's first response)",
         *TABLES,
         kind=bool,
         default=False,

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 DIFFS = re.findall(
     r"^```diff\n(.*?)^```$", text_of("docs/contributing.md"), re.DOTALL | re.MULTILINE
 )
-COLUMN, RULE, FILE = DIFFS
+COLUMN, RULE = DIFFS
 TOLD = "import tables; print(tables.columns('run'), tables.rules(), tables.files('run.yaml'))"
 
 
@@ -80,14 +80,3 @@ def test_a_rule(changed):
     assert alarm["rule"] == "both" and float(alarm["peak_signal"]) >= 0.47
     assert "- `both`: a spike at expansion_alarm or more" in python("-c", TOLD)
     assert "both: a spike at expansion_alarm or more" in run("--help")
-
-
-def test_a_file(changed):
-    changed(FILE)
-    run("--format", "srt", "--param", "kappa=3e-4")
-    with open("out/loom/alarms.srt", encoding="utf-8") as file:
-        number, times, text = file.read().splitlines()[:3]
-    assert number == "1" and re.fullmatch(r"00:00:\d\d,\d{3} --> 00:00:\d\d,\d{3}", times)
-    assert text.startswith("Alarm 1: spikes")
-    assert "- `alarms.srt`: the alarms as subtitles" in python("-c", TOLD)
-    assert "alarms.srt: the alarms as subtitles" in run("--help")

@@ -32,7 +32,7 @@ GROUPS = {
     "tof_O": ("Crazyflie O", "6–7.5"),
 }
 # Rates at which the chessboard is measured, by taking every k-th image.
-FRAME_RATES = (30.0, 15.0, 7.5)
+FRAME_RATES = (30.0, 7.5)
 # Truth nearer (m) or faster (m/s) than this is left out: its error is too large.
 LEAST_M, MOST_M_S = 0.05, 2.0
 # Truth below STILL (1/s) counts as 0; the ranges of true rates in the table, in 1/s.
@@ -42,8 +42,6 @@ QUALITY, ALARM = 0.35, 0.47
 # An oracle announces a contact up to this many seconds before the closest approach.
 ORACLE_S = 3.0
 MODELS = ("flight", 6, 9)
-# Width and height, in px, of the reduced chessboard, as a microcontroller sees it.
-SMALL_WH = (96, 72)
 LK = "LK divergence"
 # Clips drawn over time: those with missed approaches, and those with false alarms.
 MISSED = ("stereoboard1_take07", "tof_O22", "tof_O26", "tof_O28")
@@ -76,22 +74,12 @@ def truth_of(case: Case) -> dict[int, float]:
 
 
 @cache
-def compared(path: str, fps: float, *, small: bool = False) -> Compared:
-    """What is measured on a clip at up to `fps` images per second, beside the truth.
-
-    `small`: images of `SMALL_WH`, every k-th of the 60 images per second of the chessboard.
-    """
+def compared(path: str, fps: float) -> Compared:
+    """What is measured on a clip at up to `fps` images per second, beside the truth."""
     case = next(case for case in cases() if case.path == path)
-    fov, every = case.labels[0].fov, round(60.0 / fps)
-    if small:
-        with dlgmd_cli.open_video(path) as video:
-            images = [frame.grey for frame in video.frames(SMALL_WH)]
-        result = dlgmd_cli.run(np.stack(images[::every]), "flight-small", fps=fps, fov=fov)
-    else:
-        result = dlgmd_cli.run(path, "flight", fps=fps, fov=fov)
-    frames = result.frame * every if small else result.frame
+    result = dlgmd_cli.run(path, "flight", fps=fps, fov=case.labels[0].fov)
     truth = truth_of(case)
-    true = np.array([truth.get(int(frame), np.nan) for frame in frames])
+    true = np.array([truth.get(int(frame), np.nan) for frame in result.frame])
     return Compared(true, result.expansion, result.expansion_quality, result.time_s)
 
 
@@ -101,10 +89,10 @@ def cases() -> list[Case]:
     return read_cases(reference("approach"))
 
 
-def of_group(group: str, fps: float = 60.0, *, small: bool = False) -> Compared:
+def of_group(group: str, fps: float = 60.0) -> Compared:
     """The frames with truth of all clips of a group."""
     paths = [case.path for case in cases() if case.name.startswith(group)]
-    clips = [compared(path, fps, small=small) for path in paths]
+    clips = [compared(path, fps) for path in paths]
     joined = [np.concatenate(parts) for parts in zip(*clips, strict=True)]
     known = ~np.isnan(joined[0])
     return Compared(*(part[known] for part in joined))
@@ -160,8 +148,6 @@ def rates() -> str:
         for fps in FRAME_RATES if group == CHESSBOARD else (60.0,):
             rate = f"{fps:g}" if group == CHESSBOARD else own_rate
             rows.append([name, rate, *_ratios(of_group(group, fps))])
-    cells = _ratios(of_group(CHESSBOARD, 30.0, small=True))
-    rows.append([f"{CHESSBOARD}, {SMALL_WH[0]} px wide", "30", *cells])
     draw(root() / "docs" / "pictures")
     return table(head, rows)
 
@@ -223,7 +209,7 @@ def over_time(names: tuple[str, ...]) -> Figure:
 
 def _trace(axes: Axes, case: Case) -> None:
     """Draw a clip's rates; measured ones only as dots, by their quality, behind the true ones."""
-    found = compared(case.path, 60.0, small=False)
+    found = compared(case.path, 60.0)
     good = found.quality >= QUALITY
     axes.plot(found.time_s, found.true, color="black", label="true", zorder=3)
     for rows, color, name in ((good, "C0", f"quality {QUALITY}+"), (~good, "0.7", "lower quality")):

@@ -89,10 +89,15 @@ def _needed(candidate: Candidate) -> dict[str, float]:
 
 
 def curve_rows(curve: Curve, candidate: Candidate) -> Iterator[list[Cell]]:
-    """The cells of curves.csv from `rule` on: the points of a curve at which a measure changes."""
+    """The cells of curves.csv from `rule` on.
+
+    These are the points of a curve before and after each change of a measure: between two points
+    with the same measures, they hold for every threshold.
+    """
     points = np.stack([getattr(curve, measure) for measure in _OF_CURVE])
     changes = (np.diff(np.nan_to_num(points, nan=-1.0)) != 0.0).any(axis=0)
-    for i in np.flatnonzero(np.concatenate(([True], changes))):
+    begins, ends = np.concatenate(([True], changes)), np.concatenate((changes, [True]))
+    for i in np.flatnonzero(begins | ends):
         strength = float(curve.threshold[i])
         at = candidate.level(strength), candidate.excitation(strength)
         yield [candidate.rule_name, *at, *points[:, i].tolist()]
