@@ -265,7 +265,7 @@ def test_table_of_costs():
     page = (Path(__file__).parents[2] / "docs/microcontroller.md").read_text(encoding="utf-8")
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in page.splitlines()]
     rows = [row for row in cells if len(row) == 6 and "x" in row[1]]
-    assert len(rows) == 5
+    assert len(rows) == 4
     for model, size, ram, flash, *_ in rows:
         is_preset = model.startswith("`")
         params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
