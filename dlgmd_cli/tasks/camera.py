@@ -87,10 +87,17 @@ def headings_misfit(path: str, result: Result) -> str:
 def not_headed(
     path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
 ) -> str:
-    """A warning with the number of frames with a usable heading; empty if all frames have one."""
+    """A warning with the number of frames with a usable heading; empty if all frames have one.
+
+    An attitude without a direction is one, too.
+    """
     motion_at, shape = read_headings(path), picture_wh[::-1]
     motions = [motion_at(int(frame)) for frame in frames]
-    n_headed = sum(camera.window(shape, one.direction) is not None for one in motions)
+    n_headed = sum(
+        (one.has_attitude and math.isnan(sum(one.direction)))
+        or camera.window(shape, one.direction) is not None
+        for one in motions
+    )
     if n_headed == len(motions):
         return ""
     return (

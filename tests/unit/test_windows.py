@@ -187,6 +187,10 @@ def test_what_a_table_of_headings_says(tmp_path):
     ):
         result = run(looming(68, 120, 8, seed=3), fps=30, heading=path)
     assert not any("more than the video has frames" in line for line in result.warnings)
+    # An attitude alone is no mistake.
+    path.write_text("frame,right_deg,up_deg,roll_deg,pitch_deg,yaw_deg\n0,,,0,0,0\n8,,,0,0,9\n")
+    told = run(looming(68, 120, 8, seed=3), fps=30, heading=path).warnings
+    assert not any("h.csv" in line for line in told)
     path.write_text(f"{head}0,0,5\n7,0,5\n8,0,5\n999,0,5\n")
     with pytest.warns(DlgmdWarning, match="h.csv has 2 rows more than the video has frames"):
         run(looming(68, 120, 8, seed=3), fps=30, heading=path)
