@@ -118,7 +118,7 @@ class Parameters:
 
     Only the type of a field without `key` is checked. A class without `t_mp`, `n_sp`, `kappa`,
     `alarm`, `ttc_alarm`, `expansion_alarm` or `corridor_alarm` gets the missing key with the
-    default 0.4, 2, 0.01, ``"spikes"``, 1.25, 0.47 or 0.5.
+    default 0.4, 2, 0.01, ``"spikes"``, 1.25, 0.47 or 0.5. With `rest`, T_MP is 0.4 of the way to 1.
 
     Attributes
     ----------
@@ -177,7 +177,9 @@ class Parameters:
             cls.kappa = None
         for name, (usual, *_) in _COMMON.items():
             if not hasattr(cls, name):
-                setattr(cls, name, common_key(name))
+                if name == "t_mp" and cls.rest is not None:
+                    usual = cls.rest + usual * (1.0 - cls.rest)
+                setattr(cls, name, common_key(name, usual))
                 cls.__annotations__[name] = type(usual)
 
     def __post_init__(self) -> None:

@@ -121,6 +121,10 @@ class Counting(dlgmd_cli.Model):
         return dlgmd_cli.Response(mp=0.5 + self.n / 1000 + luminance.shape[1] / 1e6)
 
 
+def test_a_response_at_rest_is_no_spike():
+    assert Counting.Own().t_mp == pytest.approx(0.7) and dlgmd_cli.Parameters.rest is None
+
+
 @pytest.mark.parametrize("name", ["lgmd1-lgmd2", "lgmd2-lgmd1"])
 def test_a_worker_process_gets_the_parameters_of_any_model(name):
     params = find_model(name)()
