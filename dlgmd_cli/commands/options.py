@@ -504,8 +504,8 @@ brake_option = _stopping_option(
 speed_option = click.option(
     "--speed-m-s",
     metavar="M/S",
-    help="With the rule expansion, corridor or ttc: alarm in time for a stop from this speed by "
-    "--brake, after a reaction of 0.1 s.",
+    help="With the rule expansion, corridor or ttc: alarm as early as a stop from this speed by "
+    "--brake needs, after a reaction of 0.1 s, but not later than at the rule's threshold.",
 )
 stopping_options = option_group(
     "",

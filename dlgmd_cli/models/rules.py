@@ -226,11 +226,16 @@ class Rule:
         return value
 
     def threshold_at(self, time_s: float) -> float:
-        """The threshold for an alarm `time_s` before contact, if the rule `follows_speed`."""
+        """The threshold for an alarm `time_s` before contact, if the rule `follows_speed`.
+
+        It is never stricter than the parameter: where the stop is short, alarms that begin later
+        would be false less often, but more of them would come too late.
+        """
         if not self.follows_speed:
             return self.threshold
-        spec = self.params.specs()[self.key]
-        return min(max(self.as_time(time_s), spec.low), spec.high)
+        spec, own = self.params.specs()[self.key], float(getattr(self.params, self.key))
+        needed = min(max(self.as_time(time_s), spec.low), spec.high)
+        return max(needed, own) if self.at_most else min(needed, own)
 
     @property
     def calibrated(self) -> str:

@@ -217,7 +217,7 @@ def require_followed(params: Parameters, threshold: float | None = None) -> None
 
 
 def following(params: Parameters, brake: Brake, speed_m_s: float) -> Parameters:
-    """Parameters whose threshold leaves time for a stop at this speed plus `MARGIN_S`.
+    """Parameters whose threshold leaves time for a stop at this speed plus `MARGIN_S`, or more.
 
     They are unchanged if the drone stands (below `STANDING_M_S`), or its speed is NaN. No speed
     that an autopilot reports causes an error, see `Rule.threshold_at`.

@@ -126,20 +126,20 @@ def test_what_makes_a_drone_brake(kind, link, modes):
 
 def test_the_threshold_follows_the_speed_of_the_autopilot():
     rule = ("--alarm", "ttc", "--speed-m-s", "autopilot", "--brake", "5", "--react", "0.4")
-    needed_s = 0.4 + Brake.parse(5).distance_m(1.0)
+    needed_s = 0.4 + Brake.parse(5).distance_m(7.0) / 7.0
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
         flight.tells("begin", rule="ttc", ttc_alarm=1.25)
-        flight.obey("speed 1")
+        flight.obey("speed 7")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s + MARGIN_S, 3))
         flight.end()
 
 
 def test_the_threshold_follows_the_stop_that_the_autopilot_tells():
     rule = ("--alarm", "ttc", "--speed-m-s", "autopilot")
-    needed_s = Brake.parse("arducopter:20").stop_s(1.0) + MARGIN_S
+    needed_s = Brake.parse("arducopter:20").stop_s(9.0) + MARGIN_S
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
         flight.tells("autopilot", brake="arducopter:20", brake_by="PSC_JERK_XY")
-        flight.obey("speed 1")
+        flight.obey("speed 9")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s, 3))
         flight.end()
 

@@ -132,11 +132,16 @@ def test_speeds():
 def test_a_threshold_leaves_time_for_the_stop_and_a_margin():
     flight = parameters_of(load_config("flight"))
     ttc = parameters_of(load_config("flight"), {"alarm": "ttc"})
-    brake = Brake()
-    needed_s = brake.stop_s(2.0) + 0.2
-    assert following(ttc, brake, 2.0).ttc_alarm == pytest.approx(needed_s)
-    rate = following(flight, brake, 2.0).expansion_alarm
+    stock = Brake.parse("arducopter")
+    needed_s = stock.stop_s(2.0) + 0.2
+    assert following(ttc, stock, 2.0).ttc_alarm == pytest.approx(needed_s)
+    rate = following(flight, stock, 2.0).expansion_alarm
     assert rate == pytest.approx(RATE_TIMES_TIME / needed_s)
+    # Where the stop is short, alarms begin no later than without a speed.
+    brake = Brake()
+    assert RATE_TIMES_TIME / (brake.stop_s(2.0) + 0.2) > flight.expansion_alarm
+    assert following(flight, brake, 2.0).expansion_alarm == flight.expansion_alarm
+    assert following(ttc, brake, 2.0).ttc_alarm == ttc.ttc_alarm
     for standing in (0.0, 0.2, math.nan):
         assert following(flight, brake, standing) is flight
     # No speed is too high for a threshold: it stays within the limits of the parameter.

@@ -85,7 +85,7 @@ def rendered(target: str | None, seed: int, *looks: Look) -> Iterator[list[Watch
 
 
 def unmeasured() -> str:
-    """Told contacts, and the share of clear time, on the half of the choice and on the other."""
+    """Told contacts, and the share of clear time; the point was chosen on the first half."""
     clips = [*real()]
     blank = [*rendered("blank", BLANK_SEED, np.asarray)]
     hits = rendered(None, HIT_SEED, dark, noisy)
@@ -93,7 +93,7 @@ def unmeasured() -> str:
     head = ["half", "flights told", "clips told", "clips' clear time unmeasured, %"]
     rows = [
         [name, *_cells([*chain(*flights[half::2])], clips[half::2])]
-        for half, name in enumerate(("choice", "other"))
+        for half, name in enumerate(("first", "second"))
     ]
     return table(head, rows)
 
