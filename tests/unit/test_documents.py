@@ -156,6 +156,13 @@ def test_extras_and_scenes_and_their_truth():
     assert "\n`benchmark` is " in scenes
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_every_table_has_one_head(page):
+    """A row after an empty line would be shown as text."""
+    tables = re.findall(r"^\|.*\n(?:^\|.*\n?)*", text_of(page), re.MULTILINE)
+    assert all(re.match(r"\|.*\n\|[-| ]+\|\n\|", table) for table in tables)
+
+
 def test_the_first_page_has_the_version():
     for page in ("README.md", "docs/index.md"):
         assert f"version {__version__[:3]}" in text_of(page).replace("\n", " ")
