@@ -12,7 +12,7 @@ from dlgmd_cli.commands.evaluate import allowed_option, labels_argument
 
 @click.command(cls=Command)
 @labels_argument
-@options.model_options
+@options.model_in_pixels_options
 @options.alarm_option
 @options.input_options("fps", "repeats", "input_fps", "fov", "camera_tilt")
 @allowed_option

@@ -10,7 +10,7 @@ from dlgmd_cli.commands.console import Command, show
 
 
 @click.command(cls=Command, short_help="Write the model as C for a microcontroller.")
-@options.model_options
+@options.model_in_pixels_options
 @options.alarm_option
 @options.with_default(
     "--size", type=options.SIZE, default="96x72", help="Size of the frames in px."

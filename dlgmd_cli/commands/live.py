@@ -125,10 +125,10 @@ source_option, alarm_option, receiver_option, autopilot_option, recording_option
     "--speed-m-s",
     metavar="M/S|autopilot",
     help="With the rule expansion, corridor or ttc: alarm as early as a stop from this speed "
-    "needs, but not later than at the rule's threshold. 'autopilot' takes the speed that --mavlink receives; "
-    "without a speed, or at a standstill, the rule's threshold applies. With --mavlink-brake, "
-    "'autopilot' also takes the stop that the autopilot tells, unless --brake is given; a speed in "
-    "M/S needs --brake.",
+    "needs, but not later than at the rule's threshold. 'autopilot' takes the speed that --mavlink "
+    "receives; without a speed, or at a standstill, the rule's threshold applies. With "
+    "--mavlink-brake, 'autopilot' also takes the stop that the autopilot tells, unless --brake is "
+    "given; a speed in M/S needs --brake.",
 )
 @options.stopping_options
 @receiver_option(

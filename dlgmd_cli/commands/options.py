@@ -383,12 +383,13 @@ def named_model(
     return replace(file, kind=kind)
 
 
-def _model_and_param(*, pairs: tuple[str, ...], physical: bool, **names: Any) -> dict[str, Any]:
+def _model_and_param(pairs: Iterable[str], physical: bool = False, **names: Any) -> dict[str, Any]:
     return {"model": named_model(**names), "param": overrides(pairs, physical=physical)}
 
 
 # The options that name one model, as the command's arguments `model` and `param`.
 model_options = option_group("", _model_and_param, *ONE_MODEL, physical_option)
+model_in_pixels_options = option_group("", _model_and_param, *ONE_MODEL)
 
 
 def named_models(
