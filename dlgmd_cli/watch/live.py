@@ -272,8 +272,7 @@ def live(
     recorded = partial(Recording, frames, setup, request.options, alarm.model, state)
     frames.keeps_pictures, recording, url = chosen.keep_last is not None, None, ""
     with ExitStack() as stack:
-        rule = alarm.rule if threshold_at is None else None
-        receivers = _outputs(chosen, reports, recorded, rule)
+        receivers = _outputs(chosen, reports, recorded, alarm.rule)
         has_others = len(receivers) > 1 or chosen.serve is not None or bool(on_answer)
         stack.callback(outputs.finish, receivers)
         puts: list[Callable[[Answer], object]] = [one.put for one in receivers]
@@ -417,7 +416,7 @@ def _outputs(
     chosen: LiveOptions,
     reports: Reports,
     recorded: Callable[..., Recording],
-    rule: Rule | None,
+    rule: Rule,
 ) -> list[outputs.Receiver]:
     """The requested receivers with a thread of their own."""
     makers: dict[str, Callable[[], Any]] = {

@@ -78,8 +78,8 @@ class Mavlink:
         File with the passphrase to sign messages with; its SHA-256 is the key, as in MAVProxy.
         What comes without a right signature is dropped.
     rule, react_s : Rule or None, float
-        The rule that raises the alarms, None if its threshold follows the speed, and the time from
-        an alarm to the command: an alarm that is too late for the stop is warned of, see `Stop`.
+        The rule that raises the alarms, and the time from an alarm to the command: a threshold
+        that is too late for the stop is warned of, see `Stop`.
 
     Raises
     ------

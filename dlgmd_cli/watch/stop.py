@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from dlgmd_cli import Rule
+from dlgmd_cli.errors import argument
 from dlgmd_cli.models.stopping import ARDUCOPTER, MARGIN_S, STANDING_M_S, Brake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import JERKS, Autopilot
@@ -29,7 +30,7 @@ class Stop:
     ask : callable
         Asks the autopilot for the parameter of a name.
     rule : Rule or None
-        The rule that raises the alarms; None if its threshold follows the speed.
+        The rule that raises the alarms; None for no warning.
     react_s : float
         Time from the alarm to the first command.
 
@@ -73,19 +74,23 @@ class Stop:
         return {"brake": self.brake.text, "brake_by": by}
 
     def warning(self) -> str:
-        """A line, once, if the drone flies too fast for an alarm at the threshold; else empty."""
+        """A line, once, if the drone flies too fast for an alarm at the threshold; else empty.
+
+        The threshold is that of the parameter, also where it follows the speed.
+        """
         pilot, brake, rule, speed_m_s = self._pilot, self.brake, self._rule, self._pilot.speed_m_s
         is_flying = pilot.is_heard and pilot.is_armed and speed_m_s >= STANDING_M_S
         if self._has_warned or rule is None or brake is None or not is_flying:
             return ""
+
+        usual = rule.threshold_at(0.0)
 
         def needed(jerk_m_s3: float) -> float:
             time_s = replace(brake, number=jerk_m_s3).stop_s(speed_m_s)
             return rule.threshold_at(time_s + MARGIN_S)
 
         def suffices(jerk_m_s3: float) -> bool:
-            is_later = needed(jerk_m_s3) < rule.threshold
-            return needed(jerk_m_s3) == rule.threshold or is_later == rule.at_most
+            return needed(jerk_m_s3) == usual
 
         if suffices(brake.number):
             return ""
@@ -95,7 +100,8 @@ class Stop:
             name = (pilot.jerk or JERKS)[0]
             cure = f"set {name} to {jerk_m_s3:g}, which makes every change of speed harder, or "
         return (
-            f"at {speed_m_s:.1f} m/s, {rule.key} {rule.threshold:g} is too late for a stop "
-            f"({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); {cure}"
-            f"set {rule.key} to {needed(brake.number):.2g}, which has more false alarms"
+            f"at {speed_m_s:.1f} m/s, {rule.key} {usual:g} is too late for a stop "
+            f"({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); {cure}{rule.key} must be "
+            f"{needed(brake.number):.2g}, which has more false alarms "
+            f"({argument('speed_m_s', 'autopilot')} sets it)"
         )
