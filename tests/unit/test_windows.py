@@ -116,7 +116,8 @@ def test_what_is_ahead_and_what_approaches_a_still_camera_have_one_threshold():
     rows = [rule.step(ahead(d, approach=near)) for d, near in rates]
     assert [row.alarm for row in rows] == [False, True, False, True, True, False]
     assert [row.signal_limit for row in rows] == ["", "", "", "", "", ""]
-    assert rule.threshold_at(0.9) == pytest.approx(RATE_TIMES_TIME / 0.9)
+    assert rule.threshold_at(1.5) == pytest.approx(RATE_TIMES_TIME / 1.5)
+    assert rule.threshold_at(0.9) == 0.5  # never later than without a speed
 
 
 def test_an_expansion_of_low_quality_counts_less():
