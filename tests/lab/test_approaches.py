@@ -66,7 +66,7 @@ def test_ratios_and_shares():
 def test_figures_are_drawn(monkeypatch, tmp_path):
     frames = compared(np.ones(10), np.ones(10), np.arange(10) / 10)
     monkeypatch.setattr(approaches, "of_group", lambda group: frames)
-    monkeypatch.setattr(approaches, "compared", lambda path, fps, small: frames)
+    monkeypatch.setattr(approaches, "compared", lambda path, fps: frames)
     names = (*approaches.MISSED, *approaches.FALSE)
     clips = [SimpleNamespace(name=f"{one}.mp4", path=one, collisions=(4,)) for one in names]
     monkeypatch.setattr(approaches, "cases", lambda: clips)

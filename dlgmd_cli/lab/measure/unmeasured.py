@@ -90,7 +90,7 @@ def unmeasured() -> str:
     blank = [*rendered("blank", BLANK_SEED, np.asarray)]
     hits = rendered(None, HIT_SEED, dark, noisy)
     flights = [[*a, *b] for a, b in zip(blank, hits, strict=True)]
-    head = ["half", "flights told", "clips told", "clips' clear time unmeasured, %"]
+    head = ["half", "told in flights", "told in clips", "clips' clear time unmeasured, %"]
     rows = [
         [name, *_cells([*chain(*flights[half::2])], clips[half::2])]
         for half, name in enumerate(("first", "second"))
