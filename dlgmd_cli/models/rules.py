@@ -237,6 +237,14 @@ class Rule:
         needed = min(max(self.as_time(time_s), spec.low), spec.high)
         return max(needed, own) if self.at_most else min(needed, own)
 
+    def thresholds_at(self, time_s: float) -> dict[str, float]:
+        """Parameter -> value of all thresholds for an alarm `time_s` before contact."""
+        return {self.key: self.threshold_at(time_s)}
+
+    def follow(self, params: Parameters) -> None:
+        """Take the thresholds of these parameters from now on."""
+        self.threshold = float(getattr(params, self.key))
+
     @property
     def calibrated(self) -> str:
         """The parameters that a calibration changes, in words."""
@@ -407,11 +415,24 @@ class Corridor(Ahead, name="corridor"):
 
     column, key, quantity = "corridor", "corridor_alarm", "rate in the way"
 
+    def __init__(self, params: Parameters, *, by_sequence: bool = False) -> None:
+        super().__init__(params, by_sequence=by_sequence)
+        self._ahead = Ahead(params)
+
     def value(self, row: Detection) -> float:
         """The rate in the way, else that of the rule `expansion`."""
         if not math.isnan(row.corridor):
             return row.corridor
-        return super().value(row) * self.params.corridor_alarm / self.params.expansion_alarm
+        return super().value(row) * self.threshold / self._ahead.threshold
+
+    def thresholds_at(self, time_s: float) -> dict[str, float]:
+        """That of the rule `expansion`, too."""
+        return super().thresholds_at(time_s) | self._ahead.thresholds_at(time_s)
+
+    def follow(self, params: Parameters) -> None:
+        """Take the thresholds of both rules."""
+        super().follow(params)
+        self._ahead.follow(params)
 
     def limit(self, row: Detection, signal: float) -> str:
         """What holds the signal of the rule `expansion`, where it is the signal."""

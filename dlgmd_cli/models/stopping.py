@@ -9,7 +9,8 @@ from dlgmd_cli.parameters.checks import Spec, in_argument
 from dlgmd_cli.parameters.keys import Parameters, changed
 
 GRAVITY_M_S2 = 9.81
-# A threshold that follows the speed adds this margin (s) to the time that a stop needs.
+# A threshold that follows the speed adds this margin (s) to the time that a stop needs; it is
+# never later than that of the parameters.
 MARGIN_S = 0.2
 # Below this speed (m/s), a drone counts as standing: the speed changes no threshold.
 STANDING_M_S = 0.3
@@ -194,14 +195,21 @@ def speed_of(speed: float | str) -> float:
         return float(_SPEED.parse(str(speed)))
 
 
+def too_fast(speed_m_s: float) -> str:
+    """Why not to brake by the alarm at this speed; empty if it was measured, or is unknown."""
+    if not speed_m_s > _FASTEST_M_S:
+        return ""
+    return (
+        f"do not brake by the alarm above {_FASTEST_M_S:g} m/s: at 5 m/s, 4 of 12 rendered "
+        "collisions were in time"
+    )
+
+
 def followed_speed(speed: float | str) -> float:
-    """A speed for a threshold in m/s; warns if it is high, and raises as `speed_of`."""
+    """A speed for a threshold in m/s; warns if it is `too_fast`, and raises as `speed_of`."""
     speed_m_s = speed_of(speed)
-    if speed_m_s > _FASTEST_M_S:
-        warn(
-            f"do not brake by the alarm at {speed_m_s:g} m/s: it was measured up to "
-            f"{_FASTEST_M_S:g} m/s, and at 5 m/s, where 4 of 12 alarms were in time"
-        )
+    if line := too_fast(speed_m_s):
+        warn(line)
     return speed_m_s
 
 
@@ -217,7 +225,7 @@ def require_followed(params: Parameters, threshold: float | None = None) -> None
 
 
 def following(params: Parameters, brake: Brake, speed_m_s: float) -> Parameters:
-    """Parameters whose threshold leaves time for a stop at this speed plus `MARGIN_S`, or more.
+    """Parameters whose thresholds leave time for a stop at this speed plus `MARGIN_S`, or more.
 
     They are unchanged if the drone stands (below `STANDING_M_S`), or its speed is NaN. No speed
     that an autopilot reports causes an error, see `Rule.threshold_at`.
@@ -225,9 +233,4 @@ def following(params: Parameters, brake: Brake, speed_m_s: float) -> Parameters:
     if not speed_m_s >= STANDING_M_S:
         return params
     rule = rule_of(params)
-    return changed(params, **{rule.key: rule.threshold_at(brake.stop_s(speed_m_s) + MARGIN_S)})
-
-
-def threshold_for(params: Parameters, brake: Brake, speed_m_s: float) -> float:
-    """The threshold of a rule that is in time for a stop at a speed, see `following`."""
-    return rule_of(following(params, brake, speed_m_s)).threshold
+    return changed(params, **rule.thresholds_at(brake.stop_s(speed_m_s) + MARGIN_S))

@@ -67,7 +67,7 @@ class Camera:
         y = [axis_y + focal * _tangent(-up_deg + deg) for deg in (-ABOVE_DEG, BELOW_DEG)]
         shown = _inside(x, width) * _inside(y, height)
         # A window behind the camera has no size at all, and one without a direction NaN.
-        if not 0.0 < shown >= LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0]):
+        if not (shown > 0.0 and shown >= LEAST_SHOWN * (x[1] - x[0]) * (y[1] - y[0])):
             return None
         return x[0], y[0], x[1], y[1]
 

@@ -173,12 +173,16 @@ class Parameters:
         for name, value in (defaults or {}).items():
             setattr(cls, name, field(default=value, metadata=inherited[name].metadata))
             cls.__annotations__[name] = inherited[name].type
-        if cls.rest is not None:
+        common = {name: usual for name, (usual, *_) in _COMMON.items()}
+        renewed = set[str]()
+        if "rest" in vars(cls) and (rest := cls.rest) is not None:
+            if not (isinstance(rest, (int, float)) and 0.0 <= rest < 1.0):
+                raise ParameterError(cls.__name__, f"rest = {rest!r} is not from 0 to below 1")
             cls.kappa = None
-        for name, (usual, *_) in _COMMON.items():
-            if not hasattr(cls, name):
-                if name == "t_mp" and cls.rest is not None:
-                    usual = cls.rest + usual * (1.0 - cls.rest)
+            # Another rest has another threshold.
+            common["t_mp"], renewed = rest + common["t_mp"] * (1.0 - rest), {"t_mp"} - {*vars(cls)}
+        for name, usual in common.items():
+            if name in renewed or not hasattr(cls, name):
                 setattr(cls, name, common_key(name, usual))
                 cls.__annotations__[name] = type(usual)
 

@@ -283,7 +283,7 @@ def at_threshold(
     speed_m_s: float | str | None = None,
     brake: str | float | None = None,
 ) -> Setup:
-    """The model with another threshold of its rule, or with one in time for a stop from a speed.
+    """The model with another threshold of its rule, or with the one for a stop from a speed.
 
     Raises ParameterError if the rule has no such threshold, if both are given, or if there is a
     brake without a speed.

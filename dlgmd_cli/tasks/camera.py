@@ -87,22 +87,22 @@ def headings_misfit(path: str, result: Result) -> str:
 def not_headed(
     path: str, camera: Camera, picture_wh: tuple[int, int], frames: Iterable[int]
 ) -> str:
-    """A warning with the number of frames with a usable heading; empty if all frames have one.
+    """A warning with the number of frames without a direction of their own; or empty.
 
-    An attitude without a direction is one, too.
+    A drone that stands has none, nor has an attitude alone: these are no mistake.
     """
     motion_at, shape = read_headings(path), picture_wh[::-1]
     motions = [motion_at(int(frame)) for frame in frames]
-    n_headed = sum(
-        (one.has_attitude and math.isnan(sum(one.direction)))
-        or camera.window(shape, one.direction) is not None
+    n_without = sum(
+        camera.window(shape, one.direction) is None
+        and not (one.has_attitude and not one.has_way and math.isnan(sum(one.direction)))
         for one in motions
     )
-    if n_headed == len(motions):
+    if not n_without:
         return ""
     return (
-        f"{path}: {n_headed} of {counted(len(motions), 'frame')} are measured around its "
-        "directions; elsewhere it has none that the camera sees, and the default holds"
+        f"{path}: in {n_without} of {counted(len(motions), 'frame')}, it has no direction that the "
+        "camera sees: the default holds there"
     )
 
 

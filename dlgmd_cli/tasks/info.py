@@ -292,8 +292,8 @@ def _rate_advice(facts: Survey) -> list[str]:
         lines.append(f"Nothing states the frame rate: give it with {argument('input_fps')}.")
     if facts.is_variable:
         lines.append(
-            "The frame rate varies. The expansion counts times, but the neuron frames: record at a "
-            "constant rate, or use 'dlgmd run --physical'."
+            "The frame rate varies. The expansion counts times, but the neuron frames: for the "
+            "neuron, record at a constant rate."
         )
     steady_fps = None if facts.is_variable else facts.fps_true
     nominal_fps = rate_between_gaps(facts.fps_stated, steady_fps) or 0.0

@@ -16,6 +16,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
+from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source
@@ -266,7 +267,7 @@ def live(
     given = {**options, "threshold": chosen.threshold}
     request = fold(model, None, param, given, knows_motion=chosen.mavlink is not None)
     reports = Reports()
-    setup, threshold_at = _at_speed(request.setup, chosen, reports)
+    setup, params_at = _at_speed(request.setup, chosen, reports)
     frames = _source(source, setup, request.options, chosen)
     alarm, statistics, state = _alarm(setup), Statistics(), SourceState(frames)
     recorded = partial(Recording, frames, setup, request.options, alarm.model, state)
@@ -289,7 +290,7 @@ def live(
         puts += [] if on_answer is None else [on_answer]
         with watching(Watching(frames, alarm.rule, statistics, url)), frames:
             heading = None if chosen.mavlink is None else Heading(reports)
-            watch = Watch(frames, alarm, state, reports, threshold_at, heading)
+            watch = Watch(frames, alarm, state, reports, params_at, heading)
             with closing(Service(statistics)) as service:
                 answers = _told(watch.answers(), service)
                 is_heard = _deliver(answers, puts, recording, has_others=has_others)
@@ -340,8 +341,8 @@ def _deliver(
 
 def _at_speed(
     setup: Setup, chosen: LiveOptions, reports: Reports
-) -> tuple[Setup, Callable[[float], float] | None]:
-    """The model with the threshold for a speed; or, for the autopilot's, speed -> threshold.
+) -> tuple[Setup, Callable[[float], Parameters] | None]:
+    """The model with the thresholds for a speed; or, for the autopilot's, speed -> parameters.
 
     By the autopilot's speed, the stop is the one that the autopilot told, unless one is given.
     """
@@ -367,7 +368,7 @@ def _at_speed(
         why = f"{argument('record')} does not work with {by_autopilot}: a result has one threshold"
         raise ParameterError("", why, "Leave one out.")
     given = brake if is_given else None
-    return setup, lambda m_s: stopping.threshold_for(params, given or reports.brake or brake, m_s)
+    return setup, lambda m_s: stopping.following(params, given or reports.brake or brake, m_s)
 
 
 def _alarm(setup: Setup) -> Alarm:

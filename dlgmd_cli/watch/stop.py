@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from dlgmd_cli import Rule
-from dlgmd_cli.errors import argument
 from dlgmd_cli.models.stopping import ARDUCOPTER, MARGIN_S, STANDING_M_S, Brake
 from dlgmd_cli.parameters.facts import Json
 from dlgmd_cli.watch.autopilot import JERKS, Autopilot
@@ -102,6 +101,5 @@ class Stop:
         return (
             f"at {speed_m_s:.1f} m/s, {rule.key} {usual:g} is too late for a stop "
             f"({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); {cure}{rule.key} must be "
-            f"{needed(brake.number):.2g}, which has more false alarms "
-            f"({argument('speed_m_s', 'autopilot')} sets it)"
+            f"{needed(brake.number):.2g}, which has more false alarms"
         )

@@ -17,8 +17,10 @@ from dlgmd_cli.models.columns import MP
 from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import COLUMNS, AlarmSpan, Episodes
 from dlgmd_cli.models.health import BLIND_S, SOUND_S, UNMEASURED
+from dlgmd_cli.models.stopping import too_fast
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, beside, outside
 from dlgmd_cli.parameters.facts import Json, finite
+from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.watch.heading import Heading
@@ -211,9 +213,9 @@ class Watch:
         The state of the source.
     reports : Reports, optional
         Events that receivers report, sent with the next frame, or within 0.1 s.
-    threshold_at : callable, optional
-        Speed in m/s, possibly NaN -> threshold of the rule. If given, the threshold follows the
-        speed in `reports`.
+    params_at : callable, optional
+        Speed in m/s, possibly NaN -> parameters with the thresholds of the rule. If given, they
+        follow the speed in `reports`.
     heading : Heading, optional
         The direction of flight around which the expansion is measured.
     """
@@ -224,12 +226,12 @@ class Watch:
         alarm: Alarm,
         state: "SourceState",
         reports: Reports | None = None,
-        threshold_at: Callable[[float], float] | None = None,
+        params_at: Callable[[float], Parameters] | None = None,
         heading: Heading | None = None,
     ) -> None:
         self._source, self._alarm, self._state = source, alarm, state
         self._reports = Reports() if reports is None else reports
-        self._threshold_at, self._heading = threshold_at, heading
+        self._params_at, self._heading = params_at, heading
         self._events, self._told = Events(alarm.rule), Once()
         self.load, self._due = Load(alarm.spare), (math.nan, math.nan)
         self._latest: Frame | None = None  # the last answered frame
@@ -277,8 +279,8 @@ class Watch:
         """The answer to a frame, without the events at the frame."""
         if self._latest is None:
             self._look()
-        if self._threshold_at is not None:
-            self._follow(self._threshold_at)
+        if self._params_at is not None:
+            self._follow(self._params_at)
         motion, alarm, rule = self._head(), self._alarm, self._alarm.rule
         began_s, left_out = time.monotonic(), self.load.left_out
         alarm.left_out = left_out
@@ -292,7 +294,7 @@ class Watch:
             latency_ms=1e3 * (time.monotonic() - frame.captured_s),
             utc_s=_utc_s(frame.captured_s),
             speed_m_s=self._reports.speed_m_s,
-            threshold={} if self._threshold_at is None else {rule.key: rule.threshold},
+            threshold={} if self._params_at is None else {rule.key: rule.threshold},
             motion=motion,
             left_out=left_out,
         )
@@ -310,14 +312,16 @@ class Watch:
         self._reports.append((RATE, facts := self.load.to_dict()))
         _log.warning("%s: %s", source.name, in_words(facts) or "every frame is answered in full")
 
-    def _follow(self, threshold_at: Callable[[float], float]) -> None:
-        """Set the threshold for the present speed.
+    def _follow(self, params_at: Callable[[float], Parameters]) -> None:
+        """Set the thresholds for the present speed.
 
-        If `threshold_at` fails, the threshold stays, with one warning per reason, and no error.
+        If `params_at` fails, they stay, with one warning per reason, and no error.
         """
         speed_m_s, rule = self._reports.speed_m_s, self._alarm.rule
+        if (line := too_fast(speed_m_s)) and self._told.is_new(line):
+            _log.warning("%s", line)
         try:
-            rule.threshold = threshold_at(speed_m_s)
+            rule.follow(params_at(speed_m_s))
         except Exception as error:
             if self._told.is_new(why := str(error) or type(error).__name__):
                 stays = rule.threshold
@@ -348,7 +352,7 @@ class Watch:
 
     def _look(self) -> None:
         """Pass the hidden cells and the camera of the first frame to the alarm; log its rule."""
-        if self._threshold_at is None:
+        if self._params_at is None:
             _log.info("Note: the alarm rule is %s.", self._alarm.rule.text)
         source, camera = self._source, _camera_of(self._source)
         self._alarm.ignore(*source.hidden())

@@ -139,7 +139,7 @@ def test_the_threshold_follows_the_stop_that_the_autopilot_tells():
     needed_s = Brake.parse("arducopter:20").stop_s(9.0) + MARGIN_S
     with flying("copter", "udp", "--mavlink-modes", "GUIDED", *rule) as flight:
         flight.tells("autopilot", brake="arducopter:20", brake_by="PSC_JERK_XY")
-        flight.obey("speed 9")
+        flight.obey("arm", "speed 9")
         flight.tells("begin", rule="ttc", ttc_alarm=round(needed_s, 3))
         flight.end()
 

@@ -122,7 +122,24 @@ class Counting(dlgmd_cli.Model):
 
 
 def test_a_response_at_rest_is_no_spike():
-    assert Counting.Own().t_mp == pytest.approx(0.7) and dlgmd_cli.Parameters.rest is None
+    class Plain(dlgmd_cli.Parameters):
+        pass
+
+    class Rested(Plain):
+        rest = 0.25
+
+    class Given(Rested):
+        t_mp: float = dlgmd_cli.key(0.9, low=0, high=1)
+
+    def of_a_model(kind):
+        return type("M", (Counting,), {"params_class": kind}).params_class()
+
+    found = [of_a_model(kind) for kind in (Counting.Own, Plain, Rested, Given)]
+    assert [one.t_mp for one in found] == pytest.approx([0.7, 0.4, 0.55, 0.9])
+    assert found[0].kappa is None
+    for wrong in ("0.5", 1.0, -0.1):
+        with pytest.raises(dlgmd_cli.ParameterError, match=r"rest = .* is not from 0 to below 1"):
+            type("Wrong", (dlgmd_cli.Parameters,), {"rest": wrong})
 
 
 @pytest.mark.parametrize("name", ["lgmd1-lgmd2", "lgmd2-lgmd1"])

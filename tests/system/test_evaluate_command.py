@@ -1,9 +1,11 @@
 """`dlgmd evaluate` on tiny clips: tables, JSON, stored results, what goes wrong."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from doctest import DocTestParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +27,9 @@ from dlgmd_cli.results.labels import (
     write_labels,
 )
 from dlgmd_cli.results.scoring import alarms
+from dlgmd_cli.results.tradeoff import Curve
 from dlgmd_cli.tasks.evaluate.candidates import Candidates, Stopping, signal_of
+from dlgmd_cli.tasks.evaluate.tables import curve_rows
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -137,6 +141,15 @@ def test_tables(runs, footage):
     assert recorded()["models"][1]["kappa"] == 1e-4 and recorded()["max_false_per_min"] == 1.0
 
 
+def test_a_curve_has_both_ends_of_each_step():
+    recall, rate = [1.0, 1.0, 1.0, 0.5, 0.5, 0.0], [3.0, 3.0, 3.0, 1.0, 1.0, 0.0]
+    found = Curve(*map(np.array, (range(6), recall, recall, recall, rate)))
+    candidate = SimpleNamespace(rule_name="ttc", level=float, excitation=lambda _: math.nan)
+    rows = [*curve_rows(found, candidate)]
+    assert [row[1] for row in rows] == [0.0, 2.0, 3.0, 4.0, 5.0]
+    assert [row[-1] for row in rows] == [3.0, 3.0, 1.0, 1.0, 0.0]
+
+
 def test_a_speed_says_what_is_in_time(runs, footage):
     (footage / "near.csv").write_text("video,collision_frame,speed_m_s\nnear.avi,20,4\n")
     common = ("evaluate", footage / "near.csv", "--set", 3, "--param", "kappa=1e-4", "--jobs", 1)
@@ -183,14 +196,15 @@ def test_who_brakes_says_what_is_in_time(runs, footage):
 
 def test_each_brake_needs_the_threshold_of_the_fastest_contact(footage):
     labels = footage / "fast.csv"
-    labels.write_text("video,collision_frame,speed_m_s\nnear.avi,20,3\nnear.avi,21,1\n")
+    labels.write_text("video,collision_frame,speed_m_s\nnear.avi,20,7\nnear.avi,21,1\n")
     report = dlgmd_cli.evaluate(labels, baselines=False)
     row = report.main("flight")
     for name, brake in BRAKES.items():
-        needed = dlgmd_cli.run(footage / "near.avi", speed_m_s=3, brake=brake.text).params
+        with pytest.warns(dlgmd_cli.DlgmdWarning, match="above 3 m/s"):
+            needed = dlgmd_cli.run(footage / "near.avi", speed_m_s=7, brake=brake.text).params
         assert row[f"threshold_{name}"] == pytest.approx(needed.expansion_alarm)
-    assert row["threshold_arducopter"] < 0.47
-    assert row["threshold_arducopter_20"] == row["threshold_tilt"] == 0.47
+    assert row["threshold_arducopter"] < row["threshold_tilt"] < row["threshold_arducopter_20"]
+    assert row["threshold_arducopter_20"] < 0.47
     assert report.to_json()["flight"]["threshold_tilt"] == row["threshold_tilt"]
 
 

@@ -29,6 +29,7 @@ from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.models.health import BLIND_S
 from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.parameters.keys import changed
 from dlgmd_cli.results import csv
 from dlgmd_cli.results.files import names_of
 from dlgmd_cli.stream.clock import Pace
@@ -562,18 +563,19 @@ def test_the_threshold_follows_the_speed_that_is_reported():
     frames, reports = looming_frames(n_frames=40, width=240, height=136), Reports()
     speeds, told = iter([math.nan] * 20 + [3.0] * 99), []
 
-    def threshold(speed_m_s):
+    def params_at(speed_m_s):
         reports.speed_m_s = next(speeds)
         told.append(speed_m_s)
-        return 100.0 if math.isnan(speed_m_s) else 0.1
+        alarms = 10.0 if math.isnan(speed_m_s) else 0.1
+        return changed(alarm.params, expansion_alarm=alarms)
 
     alarm = alarm_of("flight")
     found = [
         one
-        for one in answered(played(frames), alarm, reports=reports, threshold_at=threshold)[0]
+        for one in answered(played(frames), alarm, reports=reports, params_at=params_at)[0]
         if one.is_of_frame
     ]
-    assert [one.threshold["expansion_alarm"] for one in found] == [100.0] * 21 + [0.1] * 19
+    assert [one.threshold["expansion_alarm"] for one in found] == [10.0] * 21 + [0.1] * 19
     assert not any(one.detection.alarm for one in found[:21])
     assert all(one.detection.alarm for one in found[21:] if one.detection.expansion > 0.1)
     assert json.loads(found[-1].to_json())["expansion_alarm"] == 0.1
@@ -583,10 +585,10 @@ def test_a_threshold_that_fails_ends_no_watch(caplog):
     """It stays as it was, and that is told once."""
     frames = looming_frames(n_frames=20, width=240, height=136)
 
-    def threshold(speed_m_s):
+    def params_at(speed_m_s):
         raise ZeroDivisionError("no time")
 
-    found, _ = answered(played(frames), alarm_of("flight"), threshold_at=threshold)
+    found, _ = answered(played(frames), alarm_of("flight"), params_at=params_at)
     assert len([one for one in found if one.is_of_frame]) == len(frames)
     assert [text for text in caplog.messages if "threshold" in text] == [
         f"no threshold at nan m/s (no time); it stays {choose('flight').params.expansion_alarm:g}"

@@ -331,6 +331,8 @@ def test_a_threshold_is_an_argument_wherever_it_is_an_option(mine, planes):
     how = {"brake": "px4"}
     slow, fast = (dlgmd_cli.run(video, speed_m_s=v, **how).params for v in (2.0, 3.0))
     assert 0.47 > slow.expansion_alarm > fast.expansion_alarm
+    with pytest.warns(dlgmd_cli.DlgmdWarning, match="do not brake by the alarm above 3 m/s"):
+        dlgmd_cli.run(video, speed_m_s=5.0)
     for options, why in (
         ({"threshold": -1}, "threshold: expansion_alarm = -1"),
         ({"threshold": 1, "speed_m_s": 2}, "speed_m_s and threshold exclude each other"),

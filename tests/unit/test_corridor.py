@@ -11,6 +11,7 @@ from dlgmd_cli import Alarm, DlgmdWarning, run
 from dlgmd_cli.models.corridor import BESIDE_M, NOTHING, Motion, fastest, turned
 from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.rules import rule_of
+from dlgmd_cli.models.stopping import Brake, following
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.presets import load_preset, parameters_of
 from dlgmd_cli.plots.traces import plot
@@ -238,6 +239,26 @@ def test_the_rule_compares_the_way_and_else_the_window():
     assert without.alarm and without.signal == pytest.approx(0.5)
     ground = rule.step(replace(row, expansion_upright=0.1))
     assert not ground.alarm and ground.signal_limit == "ground"
+
+
+@pytest.mark.parametrize(("brake", "speed_m_s"), [("arducopter", 2.0), ("px4", 3.0)])
+def test_a_threshold_by_speed_is_that_of_the_window_too(brake, speed_m_s):
+    """Where the motion is unknown; in a run, and in live, where it changes between frames."""
+    params = parameters_of(load_preset("flight"), {"alarm": "corridor"})
+    row = Alarm("flight").step(np.zeros((60, 80), np.uint8), 0.0)
+    slow = following(params, Brake.parse(brake), speed_m_s)
+    alone = following(replace(params, alarm="expansion"), Brake.parse(brake), speed_m_s)
+    least = alone.expansion_alarm
+    assert slow.expansion_alarm == least < 0.47 and slow.corridor_alarm <= 0.5
+    live = rule_of(params)
+    live.follow(slow)
+    for rule in (rule_of(slow), live):
+        for rate, is_on in ((1.01 * least, True), (0.99 * least, False)):
+            seen = replace(row, **vars(Measured(rate, rate, 1.0, approach=0.0)))
+            assert rule.step(seen).alarm == is_on
+        assert rule.threshold == slow.corridor_alarm
+    live.follow(params)
+    assert not live.step(replace(row, **vars(Measured(0.46, 0.46, 1.0, approach=0.0)))).alarm
 
 
 def test_an_alarm_is_told_the_motion():

@@ -97,6 +97,8 @@ WRONG_USAGE = [
     ("completion", "Missing argument 'bash|zsh|fish'. Choose from: bash, zsh, fish"),
     ("sets show flght", "or file 'flght'. Did you mean 'flight'? Choose 1 to 9, flight"),
     ("export --model lgmd", "there is no C version of the model lgmd. Only dlgmd can"),
+    ("export --physical", "No such option '--physical'"),
+    ("calibrate labels.csv --physical", "No such option '--physical'"),
     ("export --size 15x40", "'--size': 15x40 is out of range. Choose sides"),
     ("export --size 640x480 --alarm ttc", "at most 262143 cells"),
     ("batch", "Missing argument 'FOLDER...'"),

@@ -125,7 +125,7 @@ def test_speeds():
         with pytest.raises(ParameterError, match="speed"):
             speed_of(wrong)
     assert followed_speed(3) == 3.0
-    with pytest.warns(DlgmdWarning, match="do not brake by the alarm at 5 m/s"):
+    with pytest.warns(DlgmdWarning, match="do not brake by the alarm above 3 m/s"):
         assert followed_speed("5") == 5.0
 
 

@@ -184,10 +184,14 @@ def test_what_a_table_of_headings_says(tmp_path):
         read_headings(str(tmp_path / "none.csv"))
     path.write_text(f"{head}0,0,5\n3,0,5\n4,,\n5,90,0\n9,90,0\n")
     with pytest.warns(
-        DlgmdWarning, match="h.csv: 4 of 8 frames are measured around its directions"
+        DlgmdWarning, match="h.csv: in 4 of 8 frames, it has no direction that the camera sees"
     ):
         result = run(looming(68, 120, 8, seed=3), fps=30, heading=path)
     assert not any("more than the video has frames" in line for line in result.warnings)
+    whole = "frame,right_deg,up_deg,speed_m_s,roll_deg,pitch_deg,yaw_deg\n"
+    path.write_text(f"{whole}0,,,1,0,0,0\n8,,,1,0,0,9\n")
+    with pytest.warns(DlgmdWarning, match="h.csv: in 8 of 8 frames, it has no direction"):
+        run(looming(68, 120, 8, seed=3), fps=30, heading=path)
     # An attitude alone is no mistake.
     path.write_text("frame,right_deg,up_deg,roll_deg,pitch_deg,yaw_deg\n0,,,0,0,0\n8,,,0,0,9\n")
     told = run(looming(68, 120, 8, seed=3), fps=30, heading=path).warnings
