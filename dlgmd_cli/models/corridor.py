@@ -70,8 +70,9 @@ class Motion(NamedTuple):
 
     @property
     def has_way(self) -> bool:
-        """Whether attitude and speed are known, and the drone flies."""
-        return self.has_attitude and self.speed_m_s >= LEAST_M_S
+        """Whether all is known, and the drone flies."""
+        is_headed = not math.isnan(sum(self.direction))
+        return is_headed and self.has_attitude and self.speed_m_s >= LEAST_M_S
 
     def axes(self, tilt_deg: float) -> _Numbers:
         """The axes of a tilted camera: to its right, down and forward, as rows (3, 3).

@@ -67,40 +67,35 @@ class Heading:
         """Set the camera and the size of the images to which directions refer from now on."""
         self._camera, self._shape = camera, small_wh[::-1]
 
-    def motion(self) -> Motion | None:
-        """The reported motion now, in the camera's default direction if it has none of its own.
-
-        None if it is unknown.
-        """
+    def motion(self) -> Motion:
+        """The reported motion now; what is unknown is NaN."""
         motion, why = self._found()
         if why != self._why:
             self._why = why
             facts: dict[str, Json] = {"by": "default", "why": why}
-            if motion is not None and not why:
+            if not why:
                 right_deg, up_deg = motion.direction
                 facts = {"by": "autopilot", "right_deg": round(right_deg, 1)}
                 facts["up_deg"] = round(up_deg, 1)
             self._reports.append((HEADING, facts))
         return motion
 
-    def _found(self) -> tuple[Motion | None, str]:
+    def _found(self) -> tuple[Motion, str]:
         """The reported motion, and why the default direction holds; empty if it does not."""
         velocity, attitude, now_s = self._reports.motion, self._reports.attitude, time.monotonic()
         assert self._camera is not None  # `look` comes first
-        ahead = self._camera.ahead
-        angles: tuple[float, ...] = ()
+        nowhere, angles = Motion().direction, tuple[float, ...]()
         if attitude is not None and now_s - attitude.came_s <= MOTION_FRESH_S:
             angles = attitude.at(now_s)
         if velocity is None:
             # The attitude alone tells of turns.
             why = f"no attitude and velocity within {MOTION_FRESH_S:g} s"
-            return Motion(ahead, math.nan, *angles) if angles else None, why
+            return Motion(nowhere, math.nan, *angles), why
         speed_m_s = math.hypot(*velocity)
         if speed_m_s < (KEPT_M_S if self._why == "" else LEAST_M_S):
-            return Motion(ahead, speed_m_s, *angles), f"slower than {LEAST_M_S:g} m/s"
+            return Motion(nowhere, speed_m_s, *angles), f"slower than {LEAST_M_S:g} m/s"
         direction = direction_of(velocity, self._camera.tilt_deg)
         if direction is None:
-            # Backwards: nothing ahead is in the way, as if the speed were unknown.
-            return Motion(ahead, math.nan, *angles), _UNSEEN
+            return Motion(nowhere, speed_m_s, *angles), _UNSEEN
         is_seen = self._camera.window(self._shape, direction) is not None
         return Motion(direction, speed_m_s, *angles), "" if is_seen else _UNSEEN

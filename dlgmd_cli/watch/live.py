@@ -10,13 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli import Alarm, Rule
+from dlgmd_cli import Alarm, Parameters, Rule
 from dlgmd_cli.errors import ParameterError, SourceError, argument
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models import stopping
 from dlgmd_cli.parameters.checks import refuse
 from dlgmd_cli.parameters.facts import Json, Value, finite, stating
-from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.tasks.call import RULE_ARGUMENTS, ModelName, Request, Setup, fold
 from dlgmd_cli.video import live_source

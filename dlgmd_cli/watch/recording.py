@@ -212,15 +212,14 @@ class Recording:
         else:
             self._rows = RowList()
 
-    def _write_heading(self, motion: Motion | None, frame: int) -> None:
-        """Write the motion, from the first known one on."""
-        if motion is not None and HEADINGS not in self._files:
+    def _write_heading(self, motion: Motion, frame: int) -> None:
+        """Write the motion, from the first known number on."""
+        cells = ["" if math.isnan(one) else repr(one) for one in (*motion.direction, *motion[1:])]
+        if any(cells) and HEADINGS not in self._files:
             self._create(HEADINGS, (*HEADING_COLUMNS, *MOTION_COLUMNS))
         if HEADINGS in self._files:
             # In kept images, the frame number is the row number.
             at = frame if self._film is None else self.n_rows
-            numbers = () if motion is None else (*motion.direction, *motion[1:])
-            cells = [*map(repr, numbers)] or [""] * (len(HEADING_COLUMNS) + len(MOTION_COLUMNS) - 1)
             self._write_line(HEADINGS, [str(at), *cells])
 
     def _write_whole(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 
-from dlgmd_cli import Alarm, Detection, Rule
+from dlgmd_cli import Alarm, Detection, Parameters, Rule
 from dlgmd_cli.errors import Once, argument, counted
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
@@ -20,7 +20,6 @@ from dlgmd_cli.models.health import BLIND_S, SOUND_S, UNMEASURED
 from dlgmd_cli.models.stopping import too_fast
 from dlgmd_cli.models.windows import USUAL_FOV_DEG, Camera, beside, outside
 from dlgmd_cli.parameters.facts import Json, finite
-from dlgmd_cli.parameters.keys import Parameters
 from dlgmd_cli.tasks.camera import camera_of
 from dlgmd_cli.video.live_source import LiveSource
 from dlgmd_cli.watch.heading import Heading
@@ -87,8 +86,8 @@ class Answer:
         Speed of the drone by its autopilot; NaN if unknown.
     threshold : mapping of str to float
         The parameter and its value that hold the rule's threshold, if it follows the speed.
-    motion : Motion or None
-        The motion by the autopilot if the expansion was measured by it, else None.
+    motion : Motion
+        The motion by the autopilot.
     left_out : str
         What a busy computer left out of the answer, see `Load`; empty for nothing.
     """
@@ -105,7 +104,7 @@ class Answer:
     report: Mapping[str, Json] = field(default_factory=dict)
     speed_m_s: float = math.nan
     threshold: Mapping[str, float] = field(default_factory=dict)
-    motion: Motion | None = None
+    motion: Motion = field(default_factory=Motion)
     left_out: str = ""
 
     @property
@@ -327,12 +326,10 @@ class Watch:
                 stays = rule.threshold
                 _log.warning("no threshold at %g m/s (%s); it stays %g", speed_m_s, why, stays)
 
-    def _head(self) -> Motion | None:
-        """Measure by the reported motion; returns it, or None."""
-        if self._heading is None:
-            return None
-        motion = self._heading.motion()
-        self._alarm.heading(*(() if motion is None else (*motion.direction, *motion[1:])))
+    def _head(self) -> Motion:
+        """Measure by the reported motion; returns it."""
+        motion = Motion() if self._heading is None else self._heading.motion()
+        self._alarm.heading(*motion.direction, *motion[1:])
         return motion
 
     def _reported(
