@@ -163,6 +163,12 @@ def test_every_table_has_one_head(page):
     assert all(re.match(r"\|.*\n\|[-| ]+\|\n\|", table) for table in tables)
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_no_line_begins_with_a_per_cent_sign(page):
+    """The pages' parser takes such a line for a comment: its words would be missing."""
+    assert not re.search(r"^\s*%", text_of(page), re.MULTILINE)
+
+
 def test_the_first_page_has_the_version():
     for page in ("README.md", "docs/index.md"):
         assert f"version {__version__[:3]}" in text_of(page).replace("\n", " ")
