@@ -138,7 +138,7 @@ def test_a_response_at_rest_is_no_spike():
     assert [one.t_mp for one in found] == pytest.approx([0.7, 0.4, 0.55, 0.9])
     assert found[0].kappa is None
     for wrong in ("0.5", 1.0, -0.1):
-        with pytest.raises(dlgmd_cli.ParameterError, match=r"rest = .* is not from 0 to below 1"):
+        with pytest.raises(ParameterError, match=r"rest = .* is not from 0 to below 1"):
             type("Wrong", (dlgmd_cli.Parameters,), {"rest": wrong})
 
 
