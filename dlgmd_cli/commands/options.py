@@ -472,7 +472,7 @@ _INPUT: dict[str, tuple[click.ParamType, str | None, str]] = {
         "is mounted, plus the pitch in flight (negative with the nose down). If an autopilot "
         "reports the pitch, the angle at which the camera is mounted.  [default: 0]"),
     "heading": (_IMAGE_FILE, "FILE", "Table of the direction of flight: frame,right_deg,up_deg, "
-        "in degrees from the optical axis; for the rule corridor also "
+        "in degrees from the optical axis (empty for the default); for the rule corridor also "
         "speed_m_s,roll_deg,pitch_deg,yaw_deg.  [default: level with the drone]"),
 }  # fmt: skip
 

@@ -69,10 +69,14 @@ class Motion(NamedTuple):
         return not math.isnan(self.roll_deg + self.pitch_deg + self.yaw_deg)
 
     @property
+    def is_moving(self) -> bool:
+        """Whether the speed is known, and enough for a direction."""
+        return self.speed_m_s >= LEAST_M_S
+
+    @property
     def has_way(self) -> bool:
-        """Whether all is known, and the drone flies."""
-        is_headed = not math.isnan(sum(self.direction))
-        return is_headed and self.has_attitude and self.speed_m_s >= LEAST_M_S
+        """Whether all is known, and the drone moves."""
+        return self.is_moving and self.has_attitude and not math.isnan(sum(self.direction))
 
     def axes(self, tilt_deg: float) -> _Numbers:
         """The axes of a tilted camera: to its right, down and forward, as rows (3, 3).

@@ -14,7 +14,7 @@ GRAVITY_M_S2 = 9.81
 MARGIN_S = 0.2
 # Below this speed (m/s), a drone counts as standing: the speed changes no threshold.
 STANDING_M_S = 0.3
-# Up to this speed (m/s), the alarm was measured in time, see docs/lab/held-out.md.
+# Up to this speed (m/s), most rendered collisions are in time, see docs/lab/held-out.md.
 _FASTEST_M_S = 3.0
 
 # Who brakes, by name, or as a number.

@@ -179,8 +179,9 @@ class Parameters:
             if not (isinstance(rest, (int, float)) and 0.0 <= rest < 1.0):
                 raise ParameterError(cls.__name__, f"rest = {rest!r} is not from 0 to below 1")
             cls.kappa = None
-            # Another rest has another threshold.
-            common["t_mp"], renewed = rest + common["t_mp"] * (1.0 - rest), {"t_mp"} - {*vars(cls)}
+            common["t_mp"] = rest + common["t_mp"] * (1.0 - rest)
+            if "t_mp" not in vars(cls):
+                renewed.add("t_mp")  # an inherited threshold belongs to another rest
         for name, usual in common.items():
             if name in renewed or not hasattr(cls, name):
                 setattr(cls, name, common_key(name, usual))

@@ -8,7 +8,7 @@ import numpy as np
 
 from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.machine.tables import TextTable, read_table
-from dlgmd_cli.models.corridor import LEAST_M_S, Motion
+from dlgmd_cli.models.corridor import Motion
 from dlgmd_cli.models.windows import Camera
 from dlgmd_cli.parameters.facts import CameraFacts, InputFacts, RunFacts
 from dlgmd_cli.results.record import read_record
@@ -95,7 +95,7 @@ def not_headed(
     motions = [motion_at(int(frame)) for frame in frames]
     n_without = sum(
         camera.window(shape, one.direction) is None
-        and not (one.has_attitude and math.isnan(sum(one.direction)) and _is_slow(one))
+        and not (one.has_attitude and math.isnan(sum(one.direction)) and not one.is_moving)
         for one in motions
     )
     if not n_without:
@@ -104,11 +104,6 @@ def not_headed(
         f"{path}: in {n_without} of {counted(len(motions), 'frame')}, it has no direction that the "
         "camera sees: the default holds there"
     )
-
-
-def _is_slow(motion: Motion) -> bool:
-    """Whether a drone has no direction, or its speed is unknown."""
-    return not motion.speed_m_s >= LEAST_M_S
 
 
 def camera_of(

@@ -82,24 +82,24 @@ class Stop:
         if self._has_warned or rule is None or brake is None or not is_flying:
             return ""
 
-        usual = rule.threshold_at(0.0)
+        # A stop of no time needs no other thresholds than those of the parameters.
+        usual = rule.thresholds_at(0.0)
 
-        def needed(jerk_m_s3: float) -> float:
+        def lowered(jerk_m_s3: float) -> dict[str, float]:
             time_s = replace(brake, number=jerk_m_s3).stop_s(speed_m_s)
-            return rule.threshold_at(time_s + MARGIN_S)
+            needed = rule.thresholds_at(time_s + MARGIN_S)
+            return {key: one for key, one in needed.items() if one != usual[key]}
 
-        def suffices(jerk_m_s3: float) -> bool:
-            return needed(jerk_m_s3) == usual
-
-        if suffices(brake.number):
+        if not (needed := lowered(brake.number)):
             return ""
         self._has_warned, cure = True, ""
         if brake.who == ARDUCOPTER and brake.number < _JERKS_M_S3[-1]:
-            jerk_m_s3 = next(filter(suffices, _JERKS_M_S3), _JERKS_M_S3[-1])
+            jerk_m_s3 = next((one for one in _JERKS_M_S3 if not lowered(one)), _JERKS_M_S3[-1])
             name = (pilot.jerk or JERKS)[0]
             cure = f"set {name} to {jerk_m_s3:g}, which makes every change of speed harder, or "
         return (
-            f"at {speed_m_s:.1f} m/s, {rule.key} {usual:g} is too late for a stop "
-            f"({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); {cure}{rule.key} must be "
-            f"{needed(brake.number):.2g}, which has more false alarms"
+            f"at {speed_m_s:.1f} m/s, {' and '.join(f'{key} {usual[key]:g}' for key in needed)} is "
+            f"too late for a stop ({brake.stop_s(speed_m_s):.1f} s before contact: {brake}); "
+            f"{cure}{' and '.join(f'{key} must be {one:.2g}' for key, one in needed.items())}, "
+            "which has more false alarms"
         )

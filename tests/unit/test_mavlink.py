@@ -868,6 +868,20 @@ def test_an_alarm_that_is_too_late_is_warned_of(
         assert "false alarms" in line
 
 
+@pytest.mark.parametrize(("pilot", "mode"), [(ARDUPILOT, GUIDED), (PX4, MISSION)])
+def test_a_threshold_of_the_window_that_is_too_late_is_warned_of(link, clock, caplog, pilot, mode):
+    """With the rule corridor, it holds where the motion is unknown."""
+    send, _ = braking(rule=Alarm(alarm="corridor").rule)
+    drone = Drone(link, clock, send, pilot=pilot)
+    drone.mode = mode
+    for _ in range(8):
+        drone.mav.local_position_ned_send(0, 0, 0, 0, 0, 3.0, 0)
+        drone.live(1.0)
+    (line,) = (one for one in caplog.messages if "is too late for a stop" in one)
+    assert "expansion_alarm 0.47 is" in line
+    assert ("corridor_alarm 0.5 and" in line) == (pilot == ARDUPILOT)
+
+
 def test_a_command_is_not_sent_again_to_what_is_not_armed_any_more(link, clock):
     drone, reports = flying(link, clock)
     drone.result = None
