@@ -352,12 +352,13 @@ def _at_speed(
     brake = stopping.brake_of(chosen.brake, chosen.react, chosen.tilt, chosen.jerk)
     is_given = (chosen.brake, chosen.tilt, chosen.jerk) != (None, None, None)
     if speed != AUTOPILOT:
+        speed_m_s = stopping.followed_speed(speed)
         if chosen.mavlink_brake and not is_given:
             # The default is an ArduCopter with PSC_JERK_XY 20: others need a longer stop.
             why = "which autopilot will brake is not known yet"
             hint = f"Add {argument('brake')}, or give {argument('speed_m_s', AUTOPILOT)}."
             raise ParameterError("", why, hint)
-        params = stopping.following(params, brake, stopping.followed_speed(speed))
+        params = stopping.following(params, brake, speed_m_s)
         return replace(setup, params=params), None
     by_autopilot = argument("speed_m_s", AUTOPILOT)
     if chosen.mavlink is None:
